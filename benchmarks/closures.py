@@ -21,7 +21,7 @@ import numpy as np
 from benchmarks.buildings import FALSE, LOGS, row, table, timed
 
 from impslam.estimators.keyframe_log import KeyframeLog
-from impslam.estimators.loop_closing import QUERY_CELL, REFERENCE_CELL
+from impslam.estimators.loop_closing import QUERY_CELL, QUERY_RANGE, REFERENCE_CELL
 from impslam.evaluation.relations import read_relations
 from impslam.geometry.se2 import between, compose
 from impslam.map import Map

@@ -17,7 +17,7 @@ from impslam.component import register
 from impslam.errors import MessageError
 from impslam.sources.base import Stream
 from impslam.sources.parts import Located
-from impslam.sources.text import TextSource, finite, head
+from impslam.sources.text import TextSource, check_finite, head
 from impslam.types import LaserScan, WheelAngles
 
 START = b'{"stamp":'
@@ -42,7 +42,7 @@ class JsonLines(TextSource):
                 row = json.loads(line)
                 stamp, (left, right) = float(row["stamp"]), map(float, row["wheels"])
                 ranges = np.array([math.nan if r is None else r for r in row["ranges"]], np.float64)
-                finite("stamp or wheel angle", stamp, left, right)
+                check_finite("stamp or wheel angle", stamp, left, right)
             except (ValueError, TypeError, KeyError, MessageError) as error:
                 self._reject("row", self.path, number, error)
                 continue

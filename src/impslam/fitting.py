@@ -44,7 +44,7 @@ def fitted(config: Config, source: Source, *, odometry_is_free: bool) -> Config:
             sensors[name] = table
         if _matches(mount, table):
             fixed.append(stream)
-    source.hold_mounts(fixed)
+    source.watch_mounts(fixed)
     changes: dict[str, Any] = {"sensors": sensors, "landmarks": _with_antenna(config, source)}
     if odometry_is_free and _lacks_odometry(config, source):
         changes["odometry"] = {"kind": "lidar_only"}

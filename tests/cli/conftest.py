@@ -10,7 +10,7 @@ from impslam.cli import main
 
 
 @dataclass(frozen=True)
-class Said:
+class Result:
     """How a command ended: its exit code and what it printed."""
 
     code: int
@@ -18,16 +18,16 @@ class Said:
     err: str
 
 
-Imp = Callable[..., Said]
+Imp = Callable[..., Result]
 
 
 @pytest.fixture
 def imp(capfd: pytest.CaptureFixture[str]) -> Imp:
     """Call the command line in this process."""
 
-    def call(*words: object) -> Said:
+    def call(*words: object) -> Result:
         code = main([str(word) for word in words])
-        return Said(code, *capfd.readouterr())
+        return Result(code, *capfd.readouterr())
 
     return call
 

@@ -51,7 +51,7 @@ def test_files(imp, eight, tmp_path):
     ("words", "expected"),
     [
         ((), "no log given"),
-        (("LOG", "-o", "x.txt"), "x.txt: is written as TOML"),
+        (("LOG", "-o", "x.txt"), "x.txt: the config is written as TOML"),
         (("LOG", "--keep", "trak"), "--keep trak: no such parameter"),
         (("LOG", "-c", "default"), "no OdometryPose to calibrate"),
     ],

@@ -178,7 +178,7 @@ def test_logs_that_lack_something(imp, tmp_path, messages, lacking) -> None:
 
 def test_output_that_is_not_ours(imp, room, tmp_path) -> None:
     (tmp_path / "thesis.tex").write_text("years of work")
-    fails(imp("run", room, "-o", tmp_path), "thesis.tex", "new or an empty one")
+    fails(imp("run", room, "-o", tmp_path), "thesis.tex", "new or empty folder")
     fails(imp("run", room, "-o", tmp_path / "thesis.tex"), "is a file")
     assert (tmp_path / "thesis.tex").read_text() == "years of work"
 
@@ -301,7 +301,7 @@ def test_log_lines(imp, monkeypatch) -> None:
 @pytest.mark.timeout(60)
 def test_output_reaches_a_pipe_at_once_where_python_is_unbuffered() -> None:
     """As a systemd unit asks for it, so that the journal shows it while the command goes on."""
-    code = "import sys; from impslam.cli.pipes import outlive_readers as o; o(); print('up')"
+    code = "import sys; from impslam.cli.pipes import ignore_broken_pipes as o; o(); print('up')"
     code += "; sys.stdin.read()"
     with subprocess.Popen(
         [sys.executable, "-c", code],

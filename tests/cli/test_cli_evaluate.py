@@ -79,7 +79,7 @@ def folder(tmp_path, name="run", shift=(0.0, 0.0, 0.0), truth=True):
     return run
 
 
-def test_a_run_folder_knows_its_own_truth(imp, tmp_path, monkeypatch) -> None:
+def test_a_run_folder_is_scored_against_its_own_truth(imp, tmp_path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     folder(tmp_path, "mine", shift=(4.0, 5.0, 1.0))
     said = imp("evaluate", "mine")
@@ -93,8 +93,8 @@ def test_a_run_folder_knows_its_own_truth(imp, tmp_path, monkeypatch) -> None:
     # kind, true, matched, missing, false, double, RMS, max, NEES
     marks = next(line for line in said.out.splitlines() if " point " in line).split()[1:]
     assert marks == ["point", "2", "1", "1", "1", "0", "0.1000", "0.1000", "1.00"]
-    assert "by chi-square and the correlation of steps" in said.out
-    assert "laid in map by the path's best fit" in said.out
+    assert "from chi-square and the correlation of steps" in said.out
+    assert "truth aligned with the map by the path's best fit" in said.out
 
 
 def test_truth_landmarks_and_relations_together(imp, tmp_path, monkeypatch) -> None:
@@ -111,7 +111,7 @@ def test_truth_landmarks_and_relations_together(imp, tmp_path, monkeypatch) -> N
     strict = imp("evaluate", "run", *given, "--gate", "0.2")
     assert " point      2         1 " in strict.out
     alone = imp("evaluate", "run", "--landmarks", "marks.csv")
-    assert "taken to be in map" in alone.out
+    assert "assuming that the truth is in the map frame" in alone.out
     assert " point      2         2 " in alone.out
 
 
@@ -133,7 +133,7 @@ def test_numbers_and_picture(imp, tmp_path, monkeypatch) -> None:
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_a_truth_of_positions_says_so(imp, tmp_path, monkeypatch) -> None:
+def test_a_truth_without_headings_is_noted(imp, tmp_path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     run = folder(tmp_path, "mine", shift=(1.0, 2.0, 0.5))
     rows = read_tum(run / "truth.tum")
@@ -145,11 +145,11 @@ def test_a_truth_of_positions_says_so(imp, tmp_path, monkeypatch) -> None:
     assert "the truth has positions only" in said.out
     assert json.loads((tmp_path / "a.json").read_text())["runs"]["mine"]["path"]["nees"] is None
     given = imp("evaluate", "mine", "--align", "none")
-    assert "(2: of the position alone)" in given.out
+    assert "(2: position only)" in given.out
     one_line(imp("evaluate", "mine", "--align", "start"), "no heading at the start of the run")
 
 
-def test_one_run_says_what_another_cannot(imp, tmp_path, monkeypatch) -> None:
+def test_runs_with_different_files_are_compared(imp, tmp_path, monkeypatch) -> None:
     """A bare trajectory beside a run folder has dashes and no row of landmarks."""
     monkeypatch.chdir(tmp_path)
     folder(tmp_path)
@@ -200,7 +200,7 @@ def test_the_best_of_each_column_is_bold(monkeypatch, capsys) -> None:
     assert not {"7", "8", "9", "-"} & set(map(str.strip, bold))
 
 
-def test_a_run_that_cannot_be_compared_costs_the_others_nothing(imp, tmp_path, monkeypatch) -> None:
+def test_a_run_that_cannot_be_compared_is_left_out(imp, tmp_path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     path(tmp_path, "good.tum")
     stamps = np.arange(5.0) + 1e6
@@ -226,7 +226,7 @@ def one_line(said, part) -> None:
         (["good.tum", "--truth", "none.tum"], "none.tum: cannot be read"),
         (["none.tum", "--truth", "good.tum"], "none.tum: no such run"),
         (["."], "no trajectory.tum"),
-        (["good.tum"], "good.tum: contains neither a truth nor a map.imp; give --truth"),
+        (["good.tum"], "good.tum: contains neither ground truth nor a map.imp; give --truth"),
         (["bad.tum", "--truth", "good.tum"], "bad.tum, line 1: expected stamp x y z"),
         (["good.tum", "--truth", "bad.tum"], "bad.tum, line 1: expected stamp x y z"),
         (["empty.tum", "--truth", "good.tum"], "empty.tum: contains no pose"),
@@ -243,7 +243,7 @@ def one_line(said, part) -> None:
         (["run", "--delta", "0"], "greater than 0"),
         (["run", "--gate", "nan"], "greater than 0"),
         (["run", "--align", "best"], "--align"),
-        (["run", "-o", "plot.jpg"], "plot.jpg: is drawn as a PNG"),
+        (["run", "-o", "plot.jpg"], "plot.jpg: pictures are written as PNG"),
     ],
 )
 def test_one_line_errors(imp, tmp_path, monkeypatch, words, part) -> None:
@@ -259,7 +259,7 @@ def test_one_line_errors(imp, tmp_path, monkeypatch, words, part) -> None:
 
 
 @pytest.mark.parametrize(("option", "name"), [("-o", "none/a.png"), ("--json", "none/a.json")])
-def test_what_cannot_be_written_is_one_line(imp, tmp_path, monkeypatch, option, name) -> None:
+def test_an_unwritable_file_is_a_one_line_error(imp, tmp_path, monkeypatch, option, name) -> None:
     monkeypatch.chdir(tmp_path)
     folder(tmp_path)
     said = imp("evaluate", "run", option, name, "--quiet")
@@ -275,7 +275,7 @@ def test_a_damaged_run_folder_is_one_line(imp, tmp_path, monkeypatch, broken) ->
     one_line(imp("evaluate", "run"), broken)
 
 
-def test_a_map_is_compared_with_itself_where_there_is_no_truth(imp, tmp_path) -> None:
+def test_without_truth_a_map_is_compared_with_itself(imp, tmp_path) -> None:
     run = folder(tmp_path, truth=False)
     made(keyframes(RING, way(*LAP))).save(run / "map.imp")
     said = imp("evaluate", run, "--json", tmp_path / "numbers.json")

@@ -9,7 +9,7 @@ from rosbags.highlevel import AnyReader
 from impslam.observers import video
 
 
-def test_the_files_lie_beside_the_run_and_are_told(imp, room, tmp_path, monkeypatch):
+def test_exports_are_written_and_listed(imp, room, tmp_path, monkeypatch):
     monkeypatch.setattr(video, "SIZE", 200)
     monkeypatch.setattr(video, "RATE", 2.0)
     mcap, mp4 = tmp_path / "run.mcap", tmp_path / "run.mp4"
@@ -26,13 +26,15 @@ def test_the_files_lie_beside_the_run_and_are_told(imp, room, tmp_path, monkeypa
 @pytest.mark.parametrize(
     ("option", "name", "said"),
     [
-        ("--mcap", "run.bag", "ends in .mcap"),
-        ("--video", "run.avi", "ends in .mp4"),
-        ("--rerun", "run.rerun", "ends in .rrd"),
-        ("--mcap", "nowhere/run.mcap", "there is no folder"),
+        ("--mcap", "run.bag", "end in .mcap"),
+        ("--video", "run.avi", "end in .mp4"),
+        ("--rerun", "run.rerun", "end in .rrd"),
+        ("--mcap", "nowhere/run.mcap", "no such folder"),
     ],
 )
-def test_a_file_that_cannot_be_is_refused_before_the_run(imp, room, tmp_path, option, name, said):
+def test_an_unusable_export_path_is_rejected_before_the_run(
+    imp, room, tmp_path, option, name, said
+):
     done = imp("run", room, "-o", tmp_path / "run", option, tmp_path / name)
     assert done.code == 2
     assert said in done.err

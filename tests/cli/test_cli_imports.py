@@ -30,7 +30,7 @@ def imported(*words: object) -> set[str]:
 
 
 @pytest.mark.parametrize("command", ["", *COMMANDS, *(f"map {name}" for name in MAP_COMMANDS)])
-def test_help_waits_for_nothing(command: str) -> None:
+def test_help_imports_nothing_slow(command: str) -> None:
     assert imported(*command.split(), "--help") & SLOW == set()
 
 
@@ -46,7 +46,7 @@ def carmen(path: Path) -> Path:
     return path
 
 
-def test_a_text_log_is_mapped_with_little(tmp_path: Path) -> None:
+def test_mapping_a_text_log_imports_little(tmp_path: Path) -> None:
     log = carmen(tmp_path / "room.log")
     imported("run", log, "-o", tmp_path / "first", "--quiet")  # which compiles what it needs
     modules = imported("run", log, "-o", tmp_path / "second", "--quiet")

@@ -24,7 +24,7 @@ def test_room(imp, room) -> None:
     assert "field of view 239.8 deg" in words
     assert "sweep 67 ms" in words
     assert "odometry encoders, 2.1" in words
-    assert "no problem found" in words
+    assert "no problems found" in words
 
 
 def scan(stamp: float, n: int = 21, r: float = 2.0) -> LaserScan:
@@ -78,7 +78,7 @@ def test_a_log_of_detections_needs_no_scan(imp, tmp_path) -> None:
     assert "acfr_park, preset victoria-park" in words
     assert "trees Detections yes zt 3" in words
     assert "scans none" in words
-    assert "no problem found" in words
+    assert "no problems found" in words
     said = imp("inspect", tmp_path / "park", "-c", "imp")
     assert "contains no LaserScan for mapping" in said.out
 
@@ -94,10 +94,10 @@ def test_clocks_apart(imp, write) -> None:
 
 def test_the_odometry_that_would_fit(imp, write) -> None:
     log = write([scan(1.0), OdometryPose(1.0, np.zeros(3)), OdometryPose(2.0, np.ones(3))])
-    assert "choose --set odometry.kind=odometry_pose" in imp("inspect", log).out
+    assert "use --set odometry.kind=odometry_pose" in imp("inspect", log).out
     said = imp("inspect", log, "--set", "odometry.kind=odometry_pose")
     assert "odometry_pose, 1.41 m, 57 deg" in said.out
-    assert "no problem found" in said.out
+    assert "no problems found" in said.out
 
 
 @pytest.mark.real
@@ -129,7 +129,7 @@ def test_a_finding_and_its_setting(imp, tmp_path) -> None:
     said = imp("inspect", tmp_path / "arena.mcap", *settings).out
     assert "problem: wrong preset: " in said
     assert "they fit preset imp: -c imp" in said
-    assert "no problem found" not in said
+    assert "no problems found" not in said
     run = imp("run", tmp_path / "arena.mcap", "-o", tmp_path / "run", *settings).out
     assert "reads: preset imp; scan /scan" in run
     assert "problem: wrong preset: " in run

@@ -12,21 +12,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from impslam.cli.run_folder import FILES
+from impslam.cli.run_folder import RUN_FILES
 from impslam.estimators.graph import Graph
 from impslam.estimators.landmarks import Landmarks
 from impslam.evaluation.tum import read_tum
 from impslam.map import Map
 from impslam.provenance import fingerprint
 
-WRITTEN = FILES - {"graph.g2o", "truth.landmarks.csv"}
+WRITTEN = RUN_FILES - {"graph.g2o", "truth.landmarks.csv"}
 SLOWLY = """
 import resource, sys, time
 from impslam.cli import bar, main
 from impslam.observers import recorder, trajectory
-trajectory.FLUSH = 1
+trajectory.FLUSH_ROWS = 1
 {more}
-bar.Bar._move = lambda self, scans: time.sleep(0.03 * scans)
+bar.RunBar._advance = lambda self, scans: time.sleep(0.03 * scans)
 sys.exit(main(sys.argv[1:]))
 """
 STUCK = "recorder.write_end = lambda *_: (print('writing', flush=True), time.sleep(60))"
@@ -78,18 +78,20 @@ def check_partial(folder: Path, log: Path, reason: str) -> Map:
         (signal.SIGHUP, "terminal closed", 129),
     ],
 )
-def test_a_signal_leaves_a_whole_folder_of_a_part(room, tmp_path, number, reason, code) -> None:
+def test_a_signal_leaves_a_complete_folder_of_a_partial_run(
+    room, tmp_path, number, reason, code
+) -> None:
     folder = tmp_path / "run"
     with started("run", room, "-o", folder) as process:
         wait_for_scans(process, folder)
         process.send_signal(number)
         _, err = process.communicate()
     assert process.returncode == code
-    assert err == f"imp: {reason}; {folder} holds what was mapped by then, marked as partial\n"
+    assert err == f"imp: {reason}; {folder} contains the map up to here, marked as partial\n"
     check_partial(folder, room, reason)
 
 
-def test_a_part_is_the_begin_of_the_whole_and_enough_to_go_on(imp, room, tmp_path) -> None:
+def test_an_interrupted_run_is_a_prefix_and_can_be_continued(imp, room, tmp_path) -> None:
     folder, graph = tmp_path / "run", ("--set", "estimator.kind=graph")
     with started("run", room, "-o", folder, *graph) as process:
         wait_for_scans(process, folder)
@@ -106,7 +108,7 @@ def test_a_part_is_the_begin_of_the_whole_and_enough_to_go_on(imp, room, tmp_pat
     np.testing.assert_allclose(ends[0], ends[1], atol=0.01)
 
 
-def test_a_second_signal_ends_it_at_once(room, tmp_path) -> None:
+def test_a_second_signal_stops_at_once(room, tmp_path) -> None:
     folder = tmp_path / "run"
     with started("run", room, "-o", folder, more=STUCK) as process:
         wait_for_scans(process, folder)
@@ -117,14 +119,14 @@ def test_a_second_signal_ends_it_at_once(room, tmp_path) -> None:
         _, err = process.communicate()
     assert time.monotonic() - begin < 5.0
     assert process.returncode == 130
-    assert err == f"imp: interrupted; {folder} holds trajectory.live.tum, truth.tum\n"
+    assert err == f"imp: interrupted; {folder} contains trajectory.live.tum, truth.tum\n"
     assert len(read_tum(folder / "trajectory.live.tum")) >= 20
     facts = json.loads((folder / "summary.json").read_text())
     assert facts == {"partial": "the run has not ended"}
 
 
 def test_a_signal_before_the_first_scan_leaves_nothing(room, tmp_path) -> None:
-    more = "bar.Bar.__init__ = lambda *_: (print('begun', flush=True), time.sleep(60))"
+    more = "bar.RunBar.__init__ = lambda *_: (print('begun', flush=True), time.sleep(60))"
     with started("run", room, "-o", tmp_path / "run", more=more) as process:
         assert "begun\n" in process.stdout
         process.send_signal(signal.SIGINT)
@@ -143,7 +145,7 @@ def test_a_full_disk_costs_only_the_files_that_do_not_fit(room, tmp_path, whole)
         _, err = process.communicate()
     assert (process.returncode, err.count("\n")) == (2, 1)
     assert "File too large" in err
-    assert f"{folder} holds config.toml, " in err
+    assert f"{folder} contains config.toml, " in err
     partial = json.loads((folder / "summary.json").read_text())["partial"]
     assert "map.imp" in partial
     assert "could not be written (" in partial
@@ -182,14 +184,14 @@ def test_an_error_keeps_what_was_mapped_before(
     assert "partial    ArithmeticError" in imp("map", "info", folder / "map.imp").out
 
 
-def test_a_run_is_replaced_by_a_whole_one_only(imp, room, tmp_path) -> None:
+def test_only_a_complete_run_replaces_another(imp, room, tmp_path) -> None:
     folder = tmp_path / "run"
     assert imp("run", room, "-o", folder).code == 0
     (folder / "notes.txt").write_text("mine")
     before = {p.name: p.read_bytes() for p in folder.iterdir()}
     said = imp("run", room, "-o", folder)
     assert (said.code, said.err.count("\n")) == (2, 1)
-    assert "holds a run; --force replaces it" in said.err
+    assert "contains a run; replace it with --force" in said.err
 
     beside = tmp_path / "run-partial"
     with started("run", room, "-o", folder, "--force", "--seed", "4") as process:
@@ -197,7 +199,7 @@ def test_a_run_is_replaced_by_a_whole_one_only(imp, room, tmp_path) -> None:
         process.send_signal(signal.SIGINT)
         _, err = process.communicate()
     assert process.returncode == 130
-    assert err.endswith(f"; {folder} is as it was\n")
+    assert err.endswith(f"; {folder} is unchanged\n")
     check_partial(beside, room, "interrupted")
     assert {p.name: p.read_bytes() for p in folder.iterdir()} == before
 

@@ -29,7 +29,7 @@ def test_one_role(imp, role) -> None:
     assert imp("list", role).out.splitlines()[0].startswith(role.rstrip("s"))
 
 
-def test_presets_are_told_in_whole_sentences(imp) -> None:
+def test_presets_are_described_in_whole_sentences(imp) -> None:
     text = " ".join(imp("list", "presets").out.split())
     assert "a SICK LMS that tells how bright echoes are, speed and steering." in text
     assert "among barcodes. thesis-both" in text
@@ -64,7 +64,7 @@ def test_config_round_trip(imp, tmp_path, preset) -> None:
     assert tomli_w.dumps(load(file).resolved()) == printed
 
 
-def test_config_tells_units(imp) -> None:
+def test_config_prints_units(imp) -> None:
     lines = imp("config", "imp").out.splitlines()
     assert "start = [0.0, 0.0, 0.0]  # m, m, rad" in lines  # of the config itself
     assert "mount = [0.15, 0.0, 0.0]  # m, m, rad" in lines  # of a component

@@ -41,7 +41,7 @@ def test_info_prints_the_facts_and_draws_the_map(imp, office, tmp_path) -> None:
     assert 40.0 < facts["free"] < 190.0
 
 
-def test_info_tells_what_is_not_placed(imp, office, tmp_path) -> None:
+def test_info_reports_unplaced_keyframes(imp, office, tmp_path) -> None:
     known = Map.load(office)
     sessions = np.repeat([0, 1], 10)
     rows = replace(known.keyframes, sessions=sessions, placed=sessions == 0)
@@ -49,7 +49,7 @@ def test_info_tells_what_is_not_placed(imp, office, tmp_path) -> None:
     assert "20 keyframes, 10 of them not placed in the map" in imp("map", "info", file).out
 
 
-def test_info_draws_where_it_is_told(imp, office, tmp_path) -> None:
+def test_info_draws_to_the_given_file(imp, office, tmp_path) -> None:
     assert imp("map", "info", office, "-o", tmp_path / "b.png", "--quiet").out == ""
     assert (tmp_path / "b.png").exists()
 
@@ -78,7 +78,7 @@ POST, MOVED = np.array([[-6.0, -0.6, 0.15]]), np.array([[5.0, 0.3, 0.15]])
 DRIVE = np.concatenate([way(-7.0, 0.3, 8.0, 0.2, 30), way(8.0, -0.5, -7.0, -0.9, 30)])
 
 
-def test_diff_finds_how_the_maps_lie_and_what_has_moved(imp, tmp_path) -> None:
+def test_diff_aligns_the_maps_and_finds_changes(imp, tmp_path) -> None:
     before = mapped(OFFICE, DRIVE, POST).save(tmp_path / "before.imp")
     later = mapped(OFFICE, DRIVE[::-1], MOVED, T=(3.0, 1.0, 2.0), seed=1)
     after = later.save(tmp_path / "after.imp")
@@ -117,11 +117,13 @@ def test_merge_joins_maps_of_several_drives(imp, office, tmp_path) -> None:
     assert "made from  drawn, drawn" in imp("map", "info", tmp_path / "both.imp").out
 
 
-def test_merge_names_the_map_that_lies_elsewhere(imp, office, tmp_path) -> None:
+def test_merge_names_the_map_that_does_not_fit(imp, office, tmp_path) -> None:
     hall = mapped(room(0, 9, 0, 7), way(1, 1, 8, 5, 30)).save(tmp_path / "hall.imp")
     said = imp("map", "merge", office, hall, "-o", tmp_path / "both.imp")
     assert said.code == 2
-    assert said.err.startswith(f"imp: error: {hall}: is not merged: they have no place in common")
+    assert said.err.startswith(
+        f"imp: error: {hall}: cannot be merged: they have no place in common"
+    )
     assert said.err.count("\n") == 1
     assert not (tmp_path / "both.imp").exists()
 
@@ -132,7 +134,7 @@ def lived_in(room: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return run(room, "imp").save(tmp_path_factory.mktemp("lived") / "room.imp")
 
 
-def test_localise_tells_where_each_scan_was_taken(imp, room, lived_in, tmp_path) -> None:
+def test_localise_locates_each_scan(imp, room, lived_in, tmp_path) -> None:
     folder = tmp_path / "places"
     said = imp("map", "localise", lived_in, room, "-c", "imp", "--every", "8", "-o", folder)
     assert said.code == 0, said.err
@@ -152,7 +154,7 @@ def test_localise_tells_where_each_scan_was_taken(imp, room, lived_in, tmp_path)
     assert (folder / "places.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_a_log_that_is_none_is_told_in_one_line(imp, office, tmp_path) -> None:
+def test_a_missing_log_is_a_one_line_error(imp, office, tmp_path) -> None:
     said = imp("map", "localise", office, tmp_path / "none.mcap", "-o", tmp_path / "p")
     assert said.code == 2
     assert "none.mcap" in said.err
@@ -183,7 +185,7 @@ def test_a_round_hall_is_not_straightened(imp, tmp_path) -> None:
         ("localise", ("y.log",)),
     ],
 )
-def test_files_that_are_no_maps_are_told_in_one_line(imp, office, tmp_path, command, more) -> None:
+def test_files_that_are_no_maps_are_one_line_errors(imp, office, tmp_path, command, more) -> None:
     damaged = tmp_path / "damaged.imp"
     damaged.write_bytes(office.read_bytes()[:5000])
     text = tmp_path / "text.imp"
@@ -203,19 +205,19 @@ def test_files_that_are_no_maps_are_told_in_one_line(imp, office, tmp_path, comm
 @pytest.mark.parametrize(
     ("words", "why"),
     [
-        (("info", "MAP", "-o", "map.jpg"), "is drawn as a PNG"),
+        (("info", "MAP", "-o", "map.jpg"), "pictures are written as PNG"),
         (("info", "MAP", "-o", "/nowhere/map.png"), "cannot be written"),
         (("straighten", "MAP"), "output"),
         (("straighten", "MAP", "-o", "/nowhere/map.imp"), "cannot be written"),
-        (("export", "MAP", "-o", "FOLDER"), "holds 'mine.txt', which is none"),
+        (("export", "MAP", "-o", "FOLDER"), "contains 'mine.txt', which"),
         (("export", "MAP", "-o", "MAP"), "MAP"),
         (("export", "MAP", "-o", "new", "--resolution", "0"), "resolution"),
-        (("merge", "MAP", "-o", "new.imp"), "two maps or more"),
+        (("merge", "MAP", "-o", "new.imp"), "two or more maps"),
         (("merge", "MAP", "MAP"), "output"),
         (("turn", "MAP"), "turn"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_done_is_told_in_one_line(
+def test_unusable_arguments_are_one_line_errors(
     imp, office, tmp_path, monkeypatch, words, why
 ) -> None:
     monkeypatch.chdir(tmp_path)

@@ -76,7 +76,7 @@ def test_the_markdown_says_the_same(tmp_path):
     assert "![points](points.png)\n\nA & B" in text
 
 
-def test_only_what_is_asked_for_runs_in_the_order_of_the_page(tmp_path):
+def test_only_requested_experiments_run_in_the_order_of_the_report(tmp_path):
     assert main(["reproduce", "lines", "points", "-o", str(tmp_path), "-j", "1", "--quiet"]) == 0
     assert list(json.loads((tmp_path / "figures.json").read_text()))[2:] == ["points", "lines"]
     again = ["reproduce", "lines", "-o", str(tmp_path), "-j", "1", "--quiet"]
@@ -96,7 +96,7 @@ def test_an_interruption_keeps_the_experiments_that_are_done(tmp_path, monkeypat
         command, "_study", lambda name: interrupted if name == "lines" else toy(name)
     )
     assert main(["reproduce", "-o", str(tmp_path / "out"), "-j", "1"]) == 130
-    assert "out holds figures.json, report.html, report.md" in capsys.readouterr().err
+    assert "out contains figures.json, report.html, report.md" in capsys.readouterr().err
     facts = json.loads((tmp_path / "out" / "figures.json").read_text())
     assert "points" in facts
     assert facts["partial"] == "Partial: lines missing."
@@ -109,17 +109,17 @@ def test_an_interruption_keeps_the_experiments_that_are_done(tmp_path, monkeypat
     [
         (["pionts"], "no such experiment; did you mean 'points'"),
         (["points", "--seeds", "0"], "--seeds 0: must be at least 1"),
-        (["points", "--seeds", "3", "--full"], "--full and --seeds: give one of them"),
+        (["points", "--seeds", "3", "--full"], "--full and --seeds: give only one of them"),
         (["points", "-j", "-2"], "--jobs -2: must be at least 1"),
     ],
 )
-def test_what_cannot_be_is_refused_in_a_line(words, complaint, tmp_path, capsys):
+def test_unusable_options_are_one_line_errors(words, complaint, tmp_path, capsys):
     assert main(["reproduce", *words, "-o", str(tmp_path / "new")]) == 2
     assert complaint in capsys.readouterr().err
     assert not (tmp_path / "new").exists()
 
 
-def test_a_folder_of_something_else_is_left_alone(tmp_path, capsys):
+def test_a_folder_with_other_files_is_rejected(tmp_path, capsys):
     (tmp_path / "letter.txt").write_text("dear")
     assert main(["reproduce", "points", "-o", str(tmp_path)]) == 2
     assert "it contains 'letter.txt'" in capsys.readouterr().err

@@ -35,7 +35,7 @@ def type_in(monkeypatch, text):
     monkeypatch.setattr("sys.stdin", io.StringIO(text))
 
 
-def test_without_a_robot_it_says_how_to_name_one(imp):
+def test_without_a_robot_the_error_says_how_to_name_one(imp):
     said = imp("robot")
     assert said.code == 2
     assert "-c robot.toml" in said.err
@@ -52,13 +52,13 @@ def test_the_virtual_robot_is_as_its_options_say(monkeypatch):
         raise ImpError("enough")
 
     monkeypatch.setattr(process, "VirtualRobot", virtual)
-    chosen = robot.Simulated(virtual=True, world="room", seed=3, speed_control=True)
+    chosen = robot.VirtualOptions(virtual=True, world="room", seed=3, speed_control=True)
     with pytest.raises(ImpError, match="enough"), robot.running_station(None, chosen, None):
         pass
     assert asked == {"world": "room", "seed": 3, "gps": False, "speed_control": True}
 
 
-def test_a_wrong_robot_file_is_told_in_one_line(imp, tmp_path):
+def test_a_wrong_robot_file_is_a_one_line_error(imp, tmp_path):
     path = tmp_path / "robot.toml"
     path.write_text(ROBOT.replace("port", "prot"))
     said = imp("robot", "-c", path)
@@ -118,7 +118,7 @@ def test_the_unit_starts_this_robot(imp, home):
 
 
 @pytest.mark.parametrize("words", [("robot", "--virtual"), ("run", "LOG", "--live")])
-def test_without_the_extra_it_says_what_to_install(imp, room, tmp_path, monkeypatch, words):
+def test_without_the_extra_the_error_says_what_to_install(imp, room, tmp_path, monkeypatch, words):
     monkeypatch.setattr(replay, "WEB", ("nicegui_is_not_there",))
     words = [room if word == "LOG" else word for word in words]
     if "--live" in words:
@@ -135,7 +135,7 @@ def taken():
         yield listener.getsockname()[1]
 
 
-def test_a_port_that_is_taken_is_told_before_anything_starts(imp, home, taken):
+def test_a_port_in_use_is_reported_before_anything_starts(imp, home, taken):
     path = home / "robot.toml"
     path.write_text(ROBOT)
     logs = home / "logs"
@@ -146,7 +146,7 @@ def test_a_port_that_is_taken_is_told_before_anything_starts(imp, home, taken):
     assert not logs.exists()
 
 
-def test_a_replay_on_a_port_that_is_taken_writes_nothing(imp, room, tmp_path, taken):
+def test_a_replay_on_a_port_in_use_writes_nothing(imp, room, tmp_path, taken):
     began = time.monotonic()
     said = imp("run", room, "--live", "--port", taken, "-o", tmp_path / "run")
     assert said.code == 2
@@ -155,7 +155,7 @@ def test_a_replay_on_a_port_that_is_taken_writes_nothing(imp, room, tmp_path, ta
     assert time.monotonic() - began < 4.0  # nothing was compiled, and nothing had to be ended
 
 
-def test_a_replay_that_is_left_early_leaves_one_line_and_what_is_mapped(
+def test_a_replay_stopped_early_prints_one_line_and_writes_the_partial_map(
     imp, room, tmp_path, monkeypatch
 ):
     """Ctrl-C while the log plays; who leaves the page is not told of a fault."""
@@ -167,7 +167,7 @@ def test_a_replay_that_is_left_early_leaves_one_line_and_what_is_mapped(
             time.sleep(0.05)
         os.kill(os.getpid(), signal.SIGINT)
 
-    monkeypatch.setattr(trajectory, "FLUSH", 1)
+    monkeypatch.setattr(trajectory, "FLUSH_ROWS", 1)
     monkeypatch.setattr("impslam.platform.station.player.warm_up", lambda config: None)
     threading.Thread(target=leave, daemon=True).start()
     said = imp("run", room, "--live", "--port", 0, "-o", tmp_path / "run", "--quiet")

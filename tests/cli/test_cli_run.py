@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from impslam.cli import main
-from impslam.cli.run_folder import FILES, run_folder
+from impslam.cli.run_folder import RUN_FILES, run_folder
 from impslam.sources.recording import McapWriter
 from impslam.types import WheelAngles
 
-WRITTEN = FILES - {"graph.g2o"}  # the preset of the room has no graph
+WRITTEN = RUN_FILES - {"graph.g2o"}  # the preset of the room has no graph
 SAME = sorted(WRITTEN - {"report.html", "report.png", "summary.json"})
 """Figures that are times stand in the others."""
 
@@ -48,7 +48,7 @@ def test_a_config_repeats_the_run_to_the_byte(imp, done, room, tmp_path) -> None
     assert json.loads((done / "summary.json").read_text())["seed"] == 3
 
 
-def test_what_it_prints(imp, room, tmp_path) -> None:
+def test_output(imp, room, tmp_path) -> None:
     said = imp("run", room, "-o", tmp_path)
     assert said.code == 0
     assert said.err == ""  # no progress bar where there is no terminal
@@ -59,7 +59,7 @@ def test_what_it_prints(imp, room, tmp_path) -> None:
     assert f"report: {tmp_path / 'report.html'}" in words
 
 
-def test_it_prints_loops_and_that_there_is_no_odometry(imp, room, tmp_path) -> None:
+def test_output_of_loops_and_of_a_run_without_odometry(imp, room, tmp_path) -> None:
     alone = ("odometry.kind=lidar_only", "tracker.kind=scan_to_map", "estimator.kind=graph")
     said = imp("run", room, "-o", tmp_path, *(part for s in alone for part in ("--set", s)))
     assert said.code == 0, said.err
@@ -96,7 +96,7 @@ def test_a_run_that_fails_leaves_no_folder(imp, tmp_path, monkeypatch) -> None:
     assert list((tmp_path / "runs").iterdir()) == []
 
 
-def test_runs_that_begin_at_once_have_folders_of_their_own(tmp_path, monkeypatch) -> None:
+def test_runs_started_at_the_same_time_get_separate_folders(tmp_path, monkeypatch) -> None:
     """Before either has written a file."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(time, "strftime", lambda _: "20260101-000000")

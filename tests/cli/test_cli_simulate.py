@@ -23,7 +23,7 @@ def test_same_seed_same_bytes(imp, room, tmp_path) -> None:
     assert (tmp_path / "other.mcap").read_bytes() != room.read_bytes()
 
 
-def test_truth_stands_at_every_scan(room) -> None:
+def test_truth_has_a_pose_for_every_scan(room) -> None:
     with RosBag(path=room) as source:
         read = list(messages(source.batches()))
     stamps = [m.stamp for m in read if isinstance(m, LaserScan)]
@@ -51,7 +51,7 @@ def test_true_landmarks(room) -> None:
     assert east["radius"] == ""
 
 
-def test_a_world_of_ones_own(imp, tmp_path) -> None:
+def test_a_custom_world(imp, tmp_path) -> None:
     world = tmp_path / "own.toml"
     world.write_text("[robot]\nwaypoints = [[0.5, 0.0]]\n[[walls]]\nstart=[-1,-1]\nend=[2,-1]\n")
     said = imp("simulate", world, "-o", tmp_path / "deep" / "log.mcap")
@@ -59,7 +59,7 @@ def test_a_world_of_ones_own(imp, tmp_path) -> None:
     assert "'own'" in said.out
 
 
-def test_the_robot_is_another_one_if_asked(imp, tmp_path) -> None:
+def test_the_robot_can_be_changed(imp, tmp_path) -> None:
     robot, log = tmp_path / "robot.toml", tmp_path / "log.mcap"
     robot.write_text('imu = "none"\n[lidar]\nbeams = 100\n')
     result = imp(
@@ -74,7 +74,7 @@ def test_the_robot_is_another_one_if_asked(imp, tmp_path) -> None:
     assert not any(isinstance(m, Imu) for m in read)
 
 
-def test_what_is_wrong_with_the_robot_is_told_in_one_line(imp, tmp_path) -> None:
+def test_errors_in_the_robot_are_one_line(imp, tmp_path) -> None:
     log = tmp_path / "log.mcap"
     robot = tmp_path / "robot.toml"
     robot.write_text("[lidar]\nbeam = 100\n")

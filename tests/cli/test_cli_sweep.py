@@ -53,7 +53,7 @@ def test_logs_and_worlds_configs_settings_and_seeds(imp, world, room, tmp_path):
     assert "filter.kind=riekf" in said.out
 
 
-def test_it_goes_on_and_a_failed_run_is_a_row(imp, world, tmp_path):
+def test_a_sweep_continues_and_a_failed_run_is_a_row(imp, world, tmp_path):
     bad = tmp_path / "blind.log"
     bad.write_text("ODOM 0.0 0.0 0.0 0.0 0.0 0.0 1.0 host 1.0\n" * 2)
     words = ["sweep", world, bad, "-o", tmp_path / "out", "--jobs", 2]
@@ -63,7 +63,7 @@ def test_it_goes_on_and_a_failed_run_is_a_row(imp, world, tmp_path):
     assert failed["status"] == "failed"
     assert "no usable scan" in failed["message"]
     said = imp(*words, "--seeds", 2)
-    assert "1 of 4 runs are done already" in said.out
+    assert "1 of 4 runs are already done" in said.out
     assert sorted((r["status"], r["seed"]) for r in table(tmp_path / "out")) == [
         *(("failed", "0"), ("failed", "1"), ("ok", "0"), ("ok", "1"))
     ]
@@ -94,12 +94,12 @@ def test_ctrl_c_keeps_what_is_done(world, tmp_path):
         (("room", "--seeds", "0"), "--seeds 0: must be at least 1"),
         (("room", "--jobs", "0"), "--jobs 0: must be at least 1"),
         (("room", "--set", "filter.knd=ekf"), "knd is not a parameter"),
-        (("room", "arena", "--truth", "t.tum"), "--truth t.tum: is of which log?"),
+        (("room", "arena", "--truth", "t.tum"), "--truth t.tum: does not name its log"),
         (("room", "--truth", "hall=t.tum"), "hall is not one of the logs room"),
-        (("room", "-j", "1", "--scheduler", "tcp://x:1"), "--jobs and --scheduler: give one"),
+        (("room", "-j", "1", "--scheduler", "tcp://x:1"), "--jobs and --scheduler: give only one"),
     ],
 )
-def test_what_cannot_be_done_is_refused_in_one_line(imp, tmp_path, words, message):
+def test_unusable_arguments_are_one_line_errors(imp, tmp_path, words, message):
     said = imp("sweep", *words, "-o", tmp_path / "out")
     assert said.code == 2
     assert message in said.err

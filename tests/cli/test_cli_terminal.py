@@ -69,7 +69,7 @@ def in_terminal(
     ],
     ids=lambda words: words[0],
 )
-def test_what_takes_time_shows_a_bar_and_ends_well(
+def test_slow_commands_show_a_progress_bar(
     words: tuple[str, ...], room: Path, tmp_path: Path
 ) -> None:
     code, said = in_terminal(*(w.format(log=room, new=tmp_path / "new") for w in words))
@@ -78,7 +78,7 @@ def test_what_takes_time_shows_a_bar_and_ends_well(
     assert said.rindex(CURSOR) > said.rindex(HIDDEN)
 
 
-def test_a_run_s_bar_tells_how_far_it_has_come(room: Path, tmp_path: Path) -> None:
+def test_the_bar_of_a_run_shows_its_progress(room: Path, tmp_path: Path) -> None:
     slow = ("--set", "keyframes.distance=0", "--set", "sensors.lidar.extractors.walls.kind=hough")
     code, said = in_terminal("run", room, "-o", tmp_path / "run", *slow)
     assert code == 0
@@ -86,7 +86,9 @@ def test_a_run_s_bar_tells_how_far_it_has_come(room: Path, tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("words", [("list",), ("config", "imp"), ("evaluate", "{run}")])
-def test_what_is_told_at_once(words: tuple[str, ...], room: Path, tmp_path: Path) -> None:
+def test_quick_commands_work_in_a_terminal(
+    words: tuple[str, ...], room: Path, tmp_path: Path
+) -> None:
     if "{run}" in words:
         assert in_terminal("run", room, "-o", tmp_path, "--quiet")[0] == 0
     code, said = in_terminal(*(w.format(run=tmp_path) for w in words))
@@ -94,14 +96,14 @@ def test_what_is_told_at_once(words: tuple[str, ...], room: Path, tmp_path: Path
     assert len(said.splitlines()) > 3
 
 
-def test_ctrl_c_ends_in_one_line_and_gives_the_cursor_back(tmp_path: Path) -> None:
+def test_ctrl_c_prints_one_line_and_restores_the_cursor(tmp_path: Path) -> None:
     code, said = in_terminal("demo", "-o", tmp_path / "run", typed={"simulating": "\x03"})
     assert code == 130
     assert "Traceback" not in said
     assert said.rindex(CURSOR) > said.rindex(HIDDEN)
 
 
-def test_ctrl_c_on_the_way_keeps_what_is_mapped(room: Path, tmp_path: Path) -> None:
+def test_ctrl_c_keeps_the_partial_map(room: Path, tmp_path: Path) -> None:
     slow = ("--set", "keyframes.distance=0", "--set", "sensors.lidar.extractors.walls.kind=hough")
     code, said = in_terminal("run", room, "-o", tmp_path / "run", *slow, typed={"mapping": "\x03"})
     assert code == 130
@@ -110,7 +112,7 @@ def test_ctrl_c_on_the_way_keeps_what_is_mapped(room: Path, tmp_path: Path) -> N
     assert '"partial": "interrupted' in (tmp_path / "run" / "summary.json").read_text()
 
 
-def test_a_password_is_asked_for_twice_and_never_shown(tmp_path: Path) -> None:
+def test_a_password_is_prompted_for_twice_and_never_shown(tmp_path: Path) -> None:
     word = "four walls, three cylinders"
     typed = {"new password to drive: ": f"{word}\n", "again: ": f"{word}\n"}
     code, said = in_terminal("robot", "password", typed=typed, XDG_CONFIG_HOME=str(tmp_path))

@@ -1,7 +1,7 @@
 """`imp track`: what it refuses, in one line each."""
 
 
-def test_what_is_missing_is_named(imp, tmp_path) -> None:
+def test_missing_files_are_named(imp, tmp_path) -> None:
     video, out = tmp_path / "film.mp4", tmp_path / "truth.tum"
     for options, told in (
         (["-o", tmp_path / "truth.csv"], "give -o NAME.tum"),

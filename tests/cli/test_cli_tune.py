@@ -35,7 +35,7 @@ def test_a_search_writes_a_config_and_its_evidence(imp, room, tmp_path):
         (("room", "-c", "kf-demo", "--search", "seed=1"), "expected LOW:HIGH"),
     ],
 )
-def test_what_cannot_be_searched_is_refused_in_one_line(imp, tmp_path, words, message):
+def test_unusable_searches_are_one_line_errors(imp, tmp_path, words, message):
     said = imp("tune", *words, "-o", tmp_path / "out")
     assert said.code == 2
     assert message in said.err

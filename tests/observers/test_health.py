@@ -87,7 +87,7 @@ def why(health):
 
 
 @pytest.mark.parametrize("cuts", [(), (1,), (1, 2, 3, 4), (3,)])
-def test_growth_since_the_first_pose_counts_and_no_cut_of_the_log(cuts):
+def test_growth_counts_from_the_first_pose_however_the_log_is_cut(cuts):
     health = watch([9.0, 9.04, 9.09, 9.16, 9.0], cuts)
     (span,) = health.spans()
     assert (span.begin, span.end, span.scans, span.state) == (12.0, 13.0, 2, "DEGRADED")
@@ -96,7 +96,7 @@ def test_growth_since_the_first_pose_counts_and_no_cut_of_the_log(cuts):
     assert why(health) == ""
 
 
-def test_the_most_severe_reason_is_told():
+def test_the_most_severe_reason_is_reported():
     blind, doubt = np.zeros((3, 3), bool), [STALLED] * 3
     assert "not finite" in why(watch([1.0, 1.0, np.inf], (), valid=blind, reasons=doubt))
     assert "nothing known was seen" in why(watch([0.0, 1.0, 1.0], (), reasons=doubt))
@@ -107,7 +107,7 @@ def test_the_most_severe_reason_is_told():
 
 
 @pytest.mark.parametrize("cuts", [(), (1,), (1, 2)])
-def test_what_was_wrong_before_the_run_is_told_of_every_scan_that_nothing_worse_is_told_of(cuts):
+def test_a_problem_of_the_whole_run_is_reported_for_scans_without_a_worse_one(cuts):
     monitor = HealthMonitor(Standing(MISTIMED, 0.3))
     health = watch([0.0] * 3, cuts, reasons=[NONE, STALLED, NONE], monitor=monitor)
     assert health.reasons.tolist() == [MISTIMED, STALLED, MISTIMED]
@@ -125,7 +125,7 @@ def test_growth_since_the_last_match_counts(cuts):
 
 
 @pytest.mark.parametrize("cuts", [(), (2,), (1, 2, 3)])
-def test_a_robot_that_is_lost_stays_so_until_a_place_is_recognised(cuts):
+def test_a_lost_robot_stays_lost_until_a_place_is_recognised(cuts):
     monitor = HealthMonitor()
     health = watch([0.0] * 4, cuts, reasons=[NONE, UNEXPLAINED, ELSEWHERE, NONE], monitor=monitor)
     assert health.states.tolist() == [0, 1, 2, 2]
@@ -135,14 +135,14 @@ def test_a_robot_that_is_lost_stays_so_until_a_place_is_recognised(cuts):
         assert monitor.health.states[-1] == state
 
 
-def test_walls_along_the_way_do_not_make_up_for_a_position_that_has_grown_unsure():
+def test_corridor_walls_do_not_undo_the_growth_of_uncertainty():
     monitor = HealthMonitor()
     for variance, walls in ((0.01, False), (0.04, True), (0.09, True), (0.09, True)):
         match_landmarks(monitor, variance, walls)
     assert monitor.health.states.tolist() == [0, 0, 1, 1]
 
 
-def test_nor_do_landmarks_that_are_as_unsure():
+def test_landmarks_added_since_do_not_undo_the_growth_of_uncertainty():
     """They were begun since then; one from before makes the position sure again."""
     monitor = HealthMonitor()
     for variance in (0.01, 0.05, 0.2, 0.2, 0.05):
@@ -150,7 +150,7 @@ def test_nor_do_landmarks_that_are_as_unsure():
     assert monitor.health.states.tolist() == [0, 0, 1, 1, 0]
 
 
-def test_far_from_the_start_a_small_motion_makes_nothing_unsure():
+def test_a_small_motion_far_from_the_start_is_no_growth():
     """There the heading's error at the start moves the position by much."""
     monitor = HealthMonitor()
     for i in range(20):
@@ -158,21 +158,21 @@ def test_far_from_the_start_a_small_motion_makes_nothing_unsure():
     assert monitor.health.counts()["DEGRADED"] == 0
 
 
-def test_a_place_by_odometry_alone_is_told_until_one_is_recognised():
+def test_a_place_assumed_from_odometry_is_reported_until_one_is_recognised():
     monitor = HealthMonitor()
     for assumed in (False, True, True, False):
         revise(monitor, [4], assumed=assumed)
     assert monitor.health.reasons.tolist() == [NONE, ASSUMED, ASSUMED, NONE]
 
 
-def test_a_robot_whose_place_in_the_map_is_not_known_is_lost():
+def test_a_robot_with_unknown_place_in_the_map_is_lost():
     monitor = HealthMonitor()
     for ids, placed in (([4], False), ([5], False), ([3, 4, 5], np.array([True, True, True]))):
         revise(monitor, ids, placed=placed)
     assert monitor.health.reasons.tolist() == [UNPLACED, UNPLACED, NONE]
 
 
-def test_spans_tell_the_worst_way_and_the_least_share():
+def test_spans_report_the_longest_distance_and_the_smallest_share():
     reasons = np.array([OPEN, OPEN, NONE, UNEXPLAINED, UNEXPLAINED], np.int8)
     health = Health(np.arange(5.0), reasons, np.array([1.0, 2.0, 0.0, 0.12, 0.3]))
     assert [span.description for span in health.spans()] == [

@@ -1,4 +1,4 @@
-"""Landmarks that are not where the estimate has them: all at once, or a little all the time."""
+"""Landmarks that are not where the estimate predicts them, suddenly or by a persistent offset."""
 
 from types import SimpleNamespace
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from impslam.health import DISPLACED, INCONSISTENT, NONE
-from impslam.observers.landmark_watch import MOST, LandmarkWatch
+from impslam.observers.landmark_watch import MAX_RATIO, LandmarkWatch
 
 ALONG = np.array([[0.0, 1.0], [4.0, 1.0]])
 ACROSS = np.array([[4.0, -1.0], [4.2, 1.0]])
@@ -43,7 +43,7 @@ def watch():
     return known
 
 
-def test_a_robot_whose_landmarks_are_gone_at_once_is_displaced_until_they_are_seen_again(watch):
+def test_a_robot_is_displaced_when_landmarks_vanish_until_they_are_seen_again(watch):
     assert keyframes(watch, (), count=2) == [NONE, DISPLACED]
     keyframes(watch, (), born=range(5, 10))
     assert keyframes(watch, range(5, 10), count=50) == [DISPLACED] * 50  # the same things once more
@@ -51,38 +51,38 @@ def test_a_robot_whose_landmarks_are_gone_at_once_is_displaced_until_they_are_se
     assert keyframes(watch, range(5), count=4) == [DISPLACED, DISPLACED, NONE, NONE]
 
 
-def test_a_robot_that_sees_less_is_not(watch):
+def test_fewer_observations_are_no_displacement(watch):
     assert keyframes(watch, [0, 1], seen=2, count=20) == [NONE] * 20
 
 
-def test_a_robot_whose_observations_could_be_landmarks_from_before_is_not(watch):
+def test_ambiguous_matches_with_earlier_landmarks_are_no_displacement(watch):
     """They pass their gates; it is another matter which of two walls they show."""
     assert keyframes(watch, [0, 1], ambiguous=[2, 3], count=20) == [NONE] * 20
 
 
-def test_a_robot_that_comes_to_new_ground_is_not(watch):
+def test_new_ground_is_no_displacement(watch):
     for k in range(10):
         assert keyframes(watch, range(k, 5 + k), seen=8, count=5) == [NONE] * 5
         keyframes(watch, range(k, 5 + k), seen=8, born=[5 + k])
 
 
-def test_a_tracker_that_is_lost_is_displaced(watch):
+def test_a_lost_tracker_is_displaced(watch):
     assert keyframes(watch, (), lost=True) == [DISPLACED]
     assert keyframes(watch, range(5), count=3)[-1] == NONE
 
 
-def test_innovations_that_are_too_large_are_told_and_modest_ones_not(watch):
+def test_only_large_innovations_are_inconsistent(watch):
     assert keyframes(watch, range(5), ratio=0.2, count=40) == [NONE] * 40
-    assert keyframes(watch, range(5), ratio=1.1 * MOST, count=100)[-1] == INCONSISTENT
+    assert keyframes(watch, range(5), ratio=1.1 * MAX_RATIO, count=100)[-1] == INCONSISTENT
     assert keyframes(watch, range(5, 9), born=range(5, 9), count=100)[-1] == DISPLACED
     assert keyframes(watch, range(5), ratio=1.0, count=100)[-1] == NONE
 
 
-def test_a_slip_after_which_the_walls_along_the_way_still_match_is_found(watch):
+def test_slip_along_matched_walls_is_detected(watch):
     assert keyframes(watch, [0, 1], count=3) == [NONE, NONE, DISPLACED]
 
 
-def test_walls_along_the_way_do_not_tell_where_along_it_the_robot_is(watch):
+def test_walls_along_a_corridor_do_not_locate_the_robot_along_it(watch):
     keyframes(watch, (), count=2)
     assert keyframes(watch, range(5), walls=[ALONG] * 5, count=50) == [DISPLACED] * 50
     told = keyframes(watch, range(5), walls=[*[ALONG] * 4, ACROSS], count=4)

@@ -49,7 +49,7 @@ def test_a_snapshot_is_that_of_the_newest_scan():
     for i, result in enumerate(make_results(20)):
         view.truth(TruePose(result.stamp, np.full(3, float(i))))
         run.step(result)
-        view._painter.join()
+        view._worker.join()
         shown = view.snapshot()
         assert (shown.stamp, shown.scans) == (result.stamp, i + 1)
         for name in ("pose", "covariance", "odometry"):
@@ -61,7 +61,7 @@ def test_a_snapshot_is_that_of_the_newest_scan():
     assert [mark.id for mark in shown.landmarks] == [7, 8]
 
 
-def test_a_snapshot_does_not_change_any_more():
+def test_a_snapshot_does_not_change():
     view, run = begun()
     results = list(make_results(40))
     for result in results[:10]:
@@ -75,7 +75,7 @@ def test_a_snapshot_does_not_change_any_more():
     assert shown.scans == 10
 
 
-def test_points_are_the_valid_beams_ends_where_the_scan_was_taken():
+def test_points_are_the_end_points_of_valid_beams_in_map():
     view, run = begun()
     result = list(make_results(3))[2]
     pose = np.array([1.0, -2.0, 0.7])
@@ -90,7 +90,7 @@ def test_points_are_the_valid_beams_ends_where_the_scan_was_taken():
     assert view.snapshot().points.shape == (0, 2)
 
 
-def test_arrival_is_that_of_the_very_scan():
+def test_the_arrival_time_is_that_of_the_same_scan():
     view, run = begun()
     results = list(make_results(6))
     for i, result in enumerate(results):
@@ -141,7 +141,7 @@ def test_readers_see_whole_snapshots_only():
     assert len(seen) > 1
 
 
-def test_a_truth_with_a_frame_of_its_own_is_shown_in_map():
+def test_a_truth_in_its_own_frame_is_shown_in_map():
     """The simulator's world begins elsewhere, and its poses are of other times than the scans."""
     view, run = begun()
     results, T_truth_map = list(make_results(20)), np.array([3.0, -2.0, 0.7])
@@ -152,7 +152,7 @@ def test_a_truth_with_a_frame_of_its_own_is_shown_in_map():
         np.testing.assert_allclose(view.snapshot().truth, result.pose, atol=1e-9)
 
 
-def test_a_truth_between_two_scans_is_interpolated_where_its_frame_is_fixed():
+def test_a_truth_between_two_scans_is_interpolated_to_align_its_frame():
     frame, T_truth_map = TruthInMap(), np.array([3.0, -2.0, 0.7])
     frame.align(0.0, np.zeros(3))
     assert frame.pose is None
@@ -164,7 +164,7 @@ def test_a_truth_between_two_scans_is_interpolated_where_its_frame_is_fixed():
     np.testing.assert_allclose(frame.pose, [1.0, 0.0, 0.0], atol=1e-12)
 
 
-def test_a_truth_without_headings_is_shown_as_it_is():
+def test_a_truth_without_headings_is_not_transformed():
     frame = TruthInMap()
     frame.add(TruePose(0.0, np.array([5.0, 5.0, np.nan])))
     frame.align(0.0, np.zeros(3))
@@ -188,7 +188,7 @@ def test_landmarks_are_read_at_a_bounded_rate_and_only_when_they_may_have_change
     for i, result in enumerate(results):  # 8 Hz, the last half between keyframes
         clock[0] = 1.0 + 0.125 * i
         run.step(result, keyframe=i < 50)
-        view._painter.join()
+        view._worker.join()
     assert reads == [1.0 + 0.25 * i for i in range(26)]  # the last keyframe too, once it is due
 
 
@@ -205,11 +205,11 @@ def test_a_map_that_is_slow_to_read_is_read_less_often(monkeypatch):
     for i, result in enumerate(make_results(100)):
         clock[0] = max(clock[0], 1.0 + 0.1 * i)
         run.step(result)
-        view._painter.join()
+        view._worker.join()
     assert 9 <= len(reads) <= 11  # a twentieth of 10 s
 
 
-def test_a_map_that_is_read_beside_the_scans_is_read_a_tenth_of_the_time(monkeypatch):
+def test_background_reading_takes_a_tenth_of_the_time(monkeypatch):
     clock, reads = [0.0], []
     monkeypatch.setattr(module.time, "monotonic", lambda: clock[0])
     view, run = begun()
@@ -223,7 +223,7 @@ def test_a_map_that_is_read_beside_the_scans_is_read_a_tenth_of_the_time(monkeyp
     for i, result in enumerate(make_results(100)):
         clock[0] = max(clock[0], 1.0 + 0.1 * i)
         run.step(result)
-        view._painter.join()
+        view._worker.join()
     assert 8 <= len(reads) <= 10
     assert len(view.snapshot().landmarks) == 2
 
@@ -240,7 +240,7 @@ def test_scans_do_not_wait_for_landmarks_or_for_the_grid(monkeypatch):
     assert view.snapshot().scans == 50
     assert view.snapshot().landmarks == ()
     gate.set()
-    view._painter.join()
+    view._worker.join()
     run.step(results[-1])
     assert len(view.snapshot().landmarks) == 2
 
@@ -249,8 +249,8 @@ def test_scans_do_not_wait_for_landmarks_or_for_the_grid(monkeypatch):
 
 
 def test_path_landmarks_and_grid_move_when_a_loop_closes(monkeypatch):
-    monkeypatch.setattr(module, "GRID", 0.0)
-    monkeypatch.setattr(module, "LANDMARKS", 0.0)
+    monkeypatch.setattr(module, "GRID_INTERVAL", 0.0)
+    monkeypatch.setattr(module, "LANDMARK_INTERVAL", 0.0)
     view = LiveView()
     run = Run(GRAPH, [view])
     view.begin(run)
@@ -260,7 +260,7 @@ def test_path_landmarks_and_grid_move_when_a_loop_closes(monkeypatch):
         if run.estimator.counts()["loops closed"]:
             break
         if isinstance(message, LaserScan) and view.snapshot().scans:
-            view._painter.join()
+            view._worker.join()
             early, shown = run._builder.map(()), view.snapshot()
     known, after = run.map(), view.snapshot()
     moved = np.hypot(*(known.path()[: len(early.stamps)] - early.path())[:, 1:3].T)
@@ -269,15 +269,15 @@ def test_path_landmarks_and_grid_move_when_a_loop_closes(monkeypatch):
     assert distances(known.path()[:, 1:3], after.path.astype(float)).max() < 0.05
     assert distances(known.path()[:, 1:3], shown.path.astype(float)).max() > 0.5
     np.testing.assert_allclose(after.path[-1], after.pose[:2], atol=1e-6)
-    view._painter.join()
-    view._marks_due = view._grid_due = 0.0
-    view._look_after()
-    view._painter.join()
-    assert same_marks(view._read(), known.landmarks)
+    view._worker.join()
+    view._landmarks_due = view._grid_due = 0.0
+    view._start_update()
+    view._worker.join()
+    assert same_marks(view._current_landmarks(), known.landmarks)
     assert not same_marks(shown.landmarks, known.landmarks)
     image = map_image(known.grid())
-    np.testing.assert_array_equal(decoded(view._painted())[1], image.pixels)
-    assert view._painted().png != shown.grid.png
+    np.testing.assert_array_equal(decoded(view._current_picture())[1], image.pixels)
+    assert view._current_picture().png != shown.grid.png
 
 
 def same_marks(some, others):
@@ -335,7 +335,7 @@ def test_at_the_end_the_whole_map_is_shown():
     np.testing.assert_array_equal(decoded(shown.grid)[1], map_image(known.grid()).pixels)
 
 
-def test_a_refresh_shows_what_is_there():
+def test_a_refresh_shows_the_current_map():
     marks = []
     view, run = begun(lambda: tuple(marks))
     for result in make_results(3):
@@ -358,7 +358,7 @@ def decoded(picture):
     return image[..., 3], greys
 
 
-def test_the_grid_is_a_picture_with_its_place():
+def test_the_grid_is_a_picture_with_its_origin():
     view, run = begun()
     for result in make_results(30):
         run.step(result)
@@ -388,7 +388,7 @@ def test_the_grid_is_painted_once_a_second_and_new_versions_are_new_pictures(mon
         clock[0] += 0.1
         result = results[min(i, 49)]  # it stands in the end
         run.step(result)
-        view._painter.join()
+        view._worker.join()
         grid = view.snapshot().grid
         if grid is not None:
             versions.append(grid.version)
@@ -398,7 +398,7 @@ def test_the_grid_is_painted_once_a_second_and_new_versions_are_new_pictures(mon
     assert len(set(pictures.values())) == len(pictures)
 
 
-def test_a_picture_of_the_map_before_is_not_shown(monkeypatch):
+def test_a_late_picture_of_the_previous_map_is_not_shown(monkeypatch):
     paint, gate = module.paint, threading.Event()
 
     def late(grid, version):
@@ -412,12 +412,12 @@ def test_a_picture_of_the_map_before_is_not_shown(monkeypatch):
     other = Scripted(view)
     view.begin(other)
     gate.set()
-    view._painter.join()
+    view._worker.join()
     gate.clear()  # the new map's first picture is late as well
     other.step(replace(next(make_results(1)), scan=None))
     assert view.snapshot().grid is None
     gate.set()
-    view._painter.join()
+    view._worker.join()
     other.step(replace(next(make_results(1)), scan=None))
     assert view.snapshot().grid.size == (1, 1)  # nothing is known of it
 
@@ -460,7 +460,7 @@ def test_a_robot_that_recognises_landmarks_is_not_lost_however_far_it_went():
 
 
 @pytest.mark.parametrize("keyframe", [True, False])
-def test_a_robot_that_recognises_nothing_says_so_once_it_matters(keyframe):
+def test_a_robot_that_recognises_nothing_is_reported_once_uncertain(keyframe):
     drive = [
         replace(still(np.hypot(3.0, 0.01 * i), matched=False), pose=np.array([0.1 * i, 0, 0]))
         for i in range(1, 40)
@@ -472,11 +472,11 @@ def test_a_robot_that_recognises_nothing_says_so_once_it_matters(keyframe):
     assert said(still(3.0), *drive, still(5.0))[-1] == ""
 
 
-def test_a_standing_robot_without_landmarks_is_not_lost():
+def test_a_stationary_robot_without_landmarks_is_not_lost():
     assert set(said(*(still(0.1, matched=False) for _ in range(100)))) == {""}
 
 
-def test_a_blind_lidar_and_a_broken_estimate_are_told():
+def test_a_blind_lidar_and_a_non_finite_estimate_are_reported():
     assert "the lidar sees nothing" in said(still(0.1, matched=False, seen=False))[0]
     assert "not finite" in said(still(np.nan))[0]
 
@@ -519,7 +519,7 @@ def test_a_straight_path_is_a_few_points_however_long():
     assert len(path.points) < 40  # one a thousand, where two parts join
 
 
-def test_a_robot_that_stands_adds_nothing():
+def test_a_stationary_robot_adds_no_points():
     path = ThinPath(limit=50)
     for i in range(10_000):
         path.add(1.0 + 0.004 * np.sin(i), 2.0)
@@ -542,14 +542,14 @@ def test_any_path_is_kept_within_three_tolerances(points):
         np.testing.assert_allclose(kept[-1], points[-1], rtol=1e-6, atol=1e-6)
 
 
-def test_a_pose_that_is_no_number_is_left_out_of_the_path():
+def test_a_non_finite_pose_is_left_out_of_the_path():
     path = ThinPath()
     for x in (0.0, np.nan, 1.0, np.inf):
         path.add(x, 0.0)
     np.testing.assert_array_equal(path.points, [[0, 0], [1, 0], [1, 0]])
 
 
-def test_a_result_without_numbers_does_not_break_the_view():
+def test_a_non_finite_result_does_not_break_the_view():
     view, run = begun()
     run.step(
         replace(next(make_results(1)), pose=np.full(3, np.nan), covariance=np.full((3, 3), np.nan))

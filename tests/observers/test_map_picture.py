@@ -19,7 +19,7 @@ NOTHING = np.zeros((0, 2))
 
 
 def at(canvas: Canvas, x: float, y: float) -> tuple[int, ...]:
-    column, row = np.round(canvas.place(np.array([x, y]))).astype(int)
+    column, row = np.round(canvas.to_pixels(np.array([x, y]))).astype(int)
     return tuple(canvas.pixels[row, column].tolist())
 
 
@@ -46,7 +46,7 @@ def test_lines_dashes_and_fills_are_where_they_should_be() -> None:
     assert at(canvas, 1.2, 5.0) == colour(UNSEEN)
     assert at(canvas, 5.0, 5.9) == colour(POINT)
     assert at(canvas, 5.0, 6.1) == colour(UNSEEN)
-    row = canvas.pixels[round(canvas.place(np.array([0.0, 8.0]))[1])]
+    row = canvas.pixels[round(canvas.to_pixels(np.array([0.0, 8.0]))[1])]
     assert 0.45 < np.mean((row == colour(TRUTH)).all(axis=1)) < 0.65  # ends are round
 
 
@@ -67,14 +67,14 @@ def picture(drawn: Scene) -> np.ndarray:
     return cv2.imdecode(np.frombuffer(map_png(drawn), np.uint8), cv2.IMREAD_COLOR)
 
 
-def test_the_picture_holds_paths_walls_points_and_ends() -> None:
+def test_the_picture_shows_paths_walls_points_and_ends() -> None:
     path = np.column_stack([np.linspace(0.0, 4.0, 50), np.zeros(50)])
     pixels = picture(scene(path, truth=NOTHING))
     for code in (PATH, POINT, TRUTH, INK, WALL):
         assert (pixels == colour(code)).all(axis=2).sum() > 20, code
 
 
-def test_the_picture_holds_the_whole_ellipse_and_odometry_unless_they_run_off() -> None:
+def test_the_picture_includes_ellipses_and_odometry_unless_too_large() -> None:
     """The map is 6 m by 4 m from (-1, -1)."""
     path = np.column_stack([np.linspace(0.0, 4.0, 50), np.zeros(50)])
     drawn = scene(path, odometry=np.array([[0.0, 0.0], [0.0, 7.0]]))
@@ -107,7 +107,7 @@ def test_paths_of_two_drives_are_drawn_apart():
     assert list(pieces(path[2:3])) == []
 
 
-def test_the_path_is_parted_between_drives_and_ends_where_the_robot_was_lost():
+def test_the_path_is_interrupted_between_drives_and_ends_where_the_robot_was_lost():
     known = mapped(OFFICE, way(-6.0, 0.0, 6.0, 0.0, 6))
     sessions = np.repeat([0, 1, 2], 2)
     rows = replace(known.keyframes, sessions=sessions, placed=sessions < 2)
@@ -115,7 +115,7 @@ def test_the_path_is_parted_between_drives_and_ends_where_the_robot_was_lost():
     assert np.isnan(path).any(axis=1).tolist() == [False] * 4 + [True] + [False] * 4
 
 
-def test_the_gap_between_two_drives_is_no_way():
+def test_the_gap_between_two_drives_does_not_count_as_distance():
     known = mapped(OFFICE, way(-6.0, 0.0, 6.0, 0.0, 6))
     path, anchors = known.path(), known.anchors
     steps = np.hypot(*np.diff(path[:, 1:3], axis=0).T)

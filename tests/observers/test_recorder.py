@@ -1,4 +1,4 @@
-"""The run folder holds what was promised, and the same bytes every time."""
+"""The run folder contains the documented files, with the same bytes every time."""
 
 import json
 import tomllib
@@ -19,7 +19,7 @@ from impslam.observers.recorder import Recorder
 from impslam.observers.run_folder import write_run
 from impslam.types import Edges, TrueLandmark
 
-PROMISED = {
+FILES = {
     *("trajectory.tum", "odometry.tum", "trajectory.csv", "landmarks.csv"),
     *("map.pgm", "map.yaml", "summary.json", "config.toml", "trajectory.live.tum", "map.imp"),
     *("report.html", "report.png"),
@@ -32,11 +32,11 @@ def folder(tmp_path):
     return tmp_path / "a" / "run"
 
 
-def test_it_writes_the_promised_files_and_no_others(folder):
-    assert {p.name for p in folder.iterdir()} == PROMISED
+def test_it_writes_the_documented_files_and_no_others(folder):
+    assert {p.name for p in folder.iterdir()} == FILES
 
 
-def test_the_path_comes_back_in_order_at_the_logs_stamps(folder):
+def test_the_path_has_the_stamps_of_the_log_in_order(folder):
     rows = read_tum(folder / "trajectory.tum")
     results = list(runs.make_results())
     np.testing.assert_array_equal(rows[:, 0], [r.stamp for r in results])
@@ -47,7 +47,7 @@ def test_the_path_comes_back_in_order_at_the_logs_stamps(folder):
     np.testing.assert_allclose(dead[:, 1:3], [r.odometry[:2] for r in results], atol=1e-9)
 
 
-def test_the_table_holds_the_covariance(folder):
+def test_the_table_contains_the_covariance(folder):
     table = np.genfromtxt(folder / "trajectory.csv", delimiter=",", names=True)
     names = ("stamp", "x", "y", "theta", "xx", "xy", "xt", "yy", "yt", "tt", "health")
     assert table.dtype.names == names
@@ -80,11 +80,11 @@ def test_landmarks_summary_and_config(folder):
     assert config["odometry"] == {"kind": "encoders", "track": 0.3}
 
 
-def test_the_same_run_gives_the_same_bytes_but_for_times(tmp_path):
+def test_equal_runs_give_equal_bytes_except_for_times(tmp_path):
     for name, seconds in (("a", 1.0), ("b", 2.0)):
         outcome = runs.make_outcome(wall_seconds=seconds)
         runs.play([Recorder(tmp_path / name)], outcome=outcome)
-    for name in PROMISED - {"summary.json", "report.html"}:
+    for name in FILES - {"summary.json", "report.html"}:
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
     a, b = (json.loads((tmp_path / n / "summary.json").read_text()) for n in "ab")
     assert a.pop("time") != b.pop("time")
@@ -98,7 +98,7 @@ def test_a_run_that_is_cut_short_leaves_its_path(tmp_path):
     assert len(read_tum(tmp_path / "trajectory.live.tum")) == 200
 
 
-def test_the_map_comes_back_whole(tmp_path):
+def test_a_saved_map_loads_completely(tmp_path):
     saved = runs.play([Recorder(tmp_path)])
     known = Map.load(tmp_path / "map.imp")
     np.testing.assert_array_equal(known.path(), saved.path())
@@ -107,7 +107,7 @@ def test_the_map_comes_back_whole(tmp_path):
     assert [mark.id for mark in known.landmarks] == [7, 8]
 
 
-def test_the_pose_graph_is_written_where_there_is_one(tmp_path):
+def test_the_pose_graph_is_written_if_there_is_one(tmp_path):
     edges = Edges(
         np.array([2, 9, 2]),
         np.array([9, 20, 20]),
@@ -133,7 +133,7 @@ def test_an_old_run_is_overwritten(folder):
     assert len(read_tum(folder / "trajectory.tum")) == 5
 
 
-def test_truth_is_kept_where_there_is_one(tmp_path):
+def test_truth_is_written_if_there_is_one(tmp_path):
     runs.play([Recorder(tmp_path)], truth=runs.make_truth())
     assert len(read_tum(tmp_path / "truth.tum")) == 50
 
@@ -146,13 +146,13 @@ def test_a_run_without_scans_landmarks_or_time(tmp_path):
     assert facts["time"]["stages_ms"]["estimate"]["mean"] is None
 
 
-def test_a_folder_that_cannot_be_made_is_one_line(tmp_path):
+def test_a_folder_that_cannot_be_created_is_a_one_line_error(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(ImpError, match="choose another -o"):
         Recorder(tmp_path / "file" / "run")
 
 
-def test_a_truth_without_a_heading_is_kept_as_such(tmp_path):
+def test_a_truth_without_headings_is_written_with_nan(tmp_path):
     truth = [runs.TruePose(p.stamp, np.array([*p.pose[:2], np.nan])) for p in runs.make_truth()]
     runs.play([Recorder(tmp_path)], truth=truth)
     rows = read_tum(tmp_path / "truth.tum")
@@ -160,7 +160,7 @@ def test_a_truth_without_a_heading_is_kept_as_such(tmp_path):
     np.testing.assert_allclose(rows[:, 1:3], [p.pose[:2] for p in truth], atol=1e-9)
 
 
-def test_true_landmarks_are_kept_where_there_are_any(tmp_path):
+def test_true_landmarks_are_written_if_there_are_any(tmp_path):
     known = [TrueLandmark("a", "cylinder", np.array([1.0, 2.0]), {"radius": 0.1})]
     runs.play([Recorder(tmp_path, known)])
     (back,) = read_true_landmarks(tmp_path / "truth.landmarks.csv")

@@ -68,14 +68,14 @@ def test_the_page_needs_no_network(tmp_path):
     assert "prefers-color-scheme: dark" in text
 
 
-def test_it_says_what_was_found_and_what_was_dropped(tmp_path):
+def test_the_report_lists_landmarks_and_dropped_data(tmp_path):
     text = write(tmp_path)
     for words in ("room.log", "1 cylinder, 1 wall", "250×", "nan ranges", "track = 0.3"):
         assert words in text
     assert "Errors against the truth" not in text
 
 
-def test_what_a_log_says_cannot_become_part_of_the_page(tmp_path):
+def test_text_from_a_log_is_escaped(tmp_path):
     assert "all &lt;NaN&gt;; check" in write(tmp_path)
 
 
@@ -87,7 +87,7 @@ def test_errors_are_shown_where_the_truth_is_known(tmp_path):
     assert "NEES" in text
 
 
-def test_a_truth_in_a_frame_of_its_own_begins_where_the_estimate_does(tmp_path):
+def test_a_truth_in_its_own_frame_is_aligned_at_the_start(tmp_path):
     figure = re.compile(r'From the start</div><div class="figure">([^<]+)<')
     here = write(tmp_path, truth=runs.make_truth())
     there = write(tmp_path, truth=runs.make_truth(frame=(40.0, -7.0, 2.0)))
@@ -111,11 +111,11 @@ def test_the_speed_is_that_without_compiling(tmp_path):
     slow = runs.make_outcome(wall_seconds=22.0, compile_seconds=20.0)
     assert real_time_factor(slow) == pytest.approx(2.5)
     text = write(tmp_path, outcome=slow)
-    assert "real time, 40.00 ms a scan; 20 s compiling, once, not counted" in text
+    assert "real time, 40.00 ms per scan; 20 s compiling, once, not counted" in text
     assert "compiling, once" not in write(tmp_path)
 
 
-def test_everything_used_is_said(tmp_path):
+def test_the_report_states_that_everything_was_used(tmp_path):
     text = write(tmp_path, outcome=runs.make_outcome(dropped={}))
     assert "Everything in the log was used" in text
     many = {f"kind {i}": Dropped(1, "x") for i in range(3)}
@@ -156,7 +156,7 @@ def test_an_estimator_without_matches_has_no_charts_of_them():
     assert matching(History(replace(known, keyframes=bare), np.empty((0, 4)))) == ""
 
 
-def test_durations_are_said_as_people_say_them():
+def test_durations_have_readable_units():
     assert duration(7.25) == "7.2 s"
     assert duration(754.0) == "12 min 34 s"
     assert duration(3 * 3600 + 125) == "3 h 02 min"
@@ -166,9 +166,9 @@ def positions(**frame):
     return [TruePose(p.stamp, np.array([*p.pose[:2], np.nan])) for p in runs.make_truth(**frame)]
 
 
-def test_a_truth_of_positions_is_laid_where_it_fits_and_tells_no_nees(tmp_path):
+def test_a_truth_without_headings_is_aligned_by_the_best_fit_without_nees(tmp_path):
     text = write(tmp_path, truth=positions(frame=(40.0, -7.0, 2.0)))
-    assert "aligned by the best fit of the path" in text
+    assert "aligned with the map by the best fit of the path" in text
     assert "x error in cm, band" not in text
     for words in ("NEES of the pose", "Heading error", "From the start", "nan cm", "nan°"):
         assert words not in text
@@ -176,20 +176,20 @@ def test_a_truth_of_positions_is_laid_where_it_fits_and_tells_no_nees(tmp_path):
     assert float(best.group(1)) < 1.0
 
 
-def test_true_landmarks_are_told_in_the_frame_of_the_truth(tmp_path):
+def test_true_landmarks_are_given_in_the_frame_of_the_truth(tmp_path):
     frame = np.array([40.0, -7.0, 2.0])
     known = transform_landmarks(frame, true_landmarks())
     text = write(tmp_path, truth=runs.make_truth(frame=frame), true_landmarks=known)
     assert "2 of 3 found, 0 false, 0 double" in text
 
 
-def test_a_heading_that_is_lost_on_the_way_leaves_two_degrees_of_freedom(tmp_path):
+def test_missing_headings_leave_two_degrees_of_freedom(tmp_path):
     truth = list(runs.make_truth())
     truth[30] = TruePose(truth[30].stamp, np.array([*truth[30].pose[:2], np.nan]))
-    assert "of the position; ideal 2" in write(tmp_path, truth=truth)
+    assert "position only; ideal 2" in write(tmp_path, truth=truth)
 
 
-def test_the_quality_of_a_map_is_told_where_scans_meet():
+def test_map_quality_is_reported_if_scans_overlap():
     assert quality_section(Quality(*[math.nan] * 7)) == ""
     text = quality_section(Quality(0.02, 0.01, 0.03, 0.015, 0.004, 0.001, 0.9))
     for words in ("disagreement", "2.00 cm", "3.00 cm", "0.4 %", "90.0 %"):

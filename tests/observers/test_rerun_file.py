@@ -9,13 +9,13 @@ from impslam.errors import ConfigError
 from impslam.observers.rerun_file import RerunFile
 
 
-def test_without_the_library_the_command_to_install_it_is_told(tmp_path, monkeypatch):
+def test_without_the_library_the_error_gives_the_install_command(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "rerun", None)
     with pytest.raises(ConfigError, match=r"pip install .*(rerun-sdk|view)"):
         RerunFile(tmp_path / "run.rrd")
 
 
-def test_the_recording_holds_the_robot_at_each_scan(tmp_path):
+def test_the_recording_contains_the_robot_at_each_scan(tmp_path):
     pytest.importorskip("rerun")
     read = pytest.importorskip("rerun.chunk").RrdReader
     file = RerunFile(tmp_path / "run.rrd")

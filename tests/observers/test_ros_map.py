@@ -79,7 +79,7 @@ def test_frames_compose_to_the_poses_of_the_map_at_rising_stamps(written):
         assert stamp_of(message.transforms[0].header) == pytest.approx(row[0], abs=1e-6)
 
 
-def test_the_grid_and_the_path_lie_where_the_map_has_them(written):
+def test_grid_and_path_match_the_map(written):
     known, topics, _ = written
     (_, grid), (_, path) = topics["/map"][0], topics["/path"][0]
     image = map_image(known.grid(0.05))
@@ -106,7 +106,7 @@ def test_landmarks_are_markers_with_numbers_of_their_own(written):
     assert max(p.y for p in around.points) - 0.997 == pytest.approx(3.0 * np.sqrt(4e-5), rel=0.01)
 
 
-def test_health_tells_level_and_reason(written):
+def test_health_has_level_and_reason(written):
     _, topics, _ = written
     states = [message.status[0] for _, message in topics["/health"]]
     assert [s.level for s in states] == [0] * 20 + [1] * 10 + [0] * 20

@@ -50,11 +50,11 @@ def test_the_video_plays_and_the_path_grows(tmp_path, monkeypatch):
     path = [near(picture, video.PATH) for picture in pictures]
     assert path[0] < 0.2 * path[-1]
     assert path[len(path) // 2] == pytest.approx(0.5 * path[-1], rel=0.3)
-    lost = [near(picture[:40], video.STATE_INKS[2]) for picture in pictures]
+    lost = [near(picture[:40], video.STATE_COLOURS[2]) for picture in pictures]
     assert max(lost[: int(0.75 * len(lost))]) < 0.2 * lost[-1]
 
 
-def test_a_wall_is_shown_when_it_has_been_seen(tmp_path, monkeypatch):
+def test_a_wall_is_drawn_once_it_has_been_observed(tmp_path, monkeypatch):
     monkeypatch.setattr(video, "RATE", 5.0)
     monkeypatch.setattr(video, "SIZE", 320)
     known, outcome = made_up()
@@ -68,12 +68,12 @@ def test_a_wall_is_shown_when_it_has_been_seen(tmp_path, monkeypatch):
 def test_long_runs_take_no_longer_and_the_clock_never_runs_backwards():
     stamps = np.concatenate([np.arange(0.0, 500.0), [3.0], np.arange(500.0, 2000.0)])
     rows = video._rows(stamps)
-    assert len(rows) == video.SECONDS * video.RATE
+    assert len(rows) == video.MAX_SECONDS * video.RATE
     assert (np.diff(rows) >= 0).all()
     assert (rows[0], rows[-1]) == (0, len(stamps) - 1)
     assert len(video._rows(np.zeros(1))) == 2
 
 
-def test_a_folder_that_is_none_is_told(tmp_path):
+def test_a_missing_folder_is_an_error(tmp_path):
     with pytest.raises(ImpError, match="cannot be written as a video"):
         Video(tmp_path / "none" / "run.mp4").finish(*made_up())

@@ -17,7 +17,7 @@ from impslam.geometry.se2 import between, compose
 from impslam.health import BLIND, Health
 from impslam.maps.files import FREE, OCCUPIED, UNKNOWN, MapImage
 from impslam.observers import viewer
-from impslam.observers.accuracy import laid_in_map
+from impslam.observers.accuracy import align_truth
 from impslam.observers.grid_picture import coarsened
 from impslam.observers.history import History
 from impslam.observers.recorder import Recorder
@@ -56,7 +56,7 @@ def made_up(n=50, frame=(0.0, 0.0, 0.0)):
 
 
 def drawn(history, outcome, image=IMAGE):
-    scene = viewer.scene(history, outcome, image, laid_in_map(history))
+    scene = viewer.scene(history, outcome, image, align_truth(history))
     json.dumps(scene, allow_nan=False)
     for part in ("path", "scans", "loops"):
         columns = scene[part].items()
@@ -100,8 +100,8 @@ def test_loops_are_the_edges_that_may_be_wrong_with_their_normalised_innovation(
 
 
 def test_long_runs_are_thinned_evenly(monkeypatch):
-    monkeypatch.setattr(viewer, "ROWS", 10)
-    monkeypatch.setattr(viewer, "POINTS", 1000)
+    monkeypatch.setattr(viewer, "MAX_ROWS", 10)
+    monkeypatch.setattr(viewer, "MAX_POINTS", 1000)
     history, outcome = made_up()
     scene = drawn(history, outcome)
     assert np.ptp(np.diff(scene["path"]["t"])) < 1e-4
@@ -248,7 +248,7 @@ def test_the_slider_the_keys_and_the_health_band_lead_to_a_time(browser, report)
 
 
 @pytest.mark.browser
-def test_values_are_told_where_the_pointer_is(browser, report):
+def test_values_are_shown_at_the_pointer(browser, report):
     with opened(browser, report) as page:
         page.locator(".viewer").scroll_into_view_if_needed()
         box = page.locator(".stage canvas").bounding_box()

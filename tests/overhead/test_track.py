@@ -102,7 +102,7 @@ def test_errors_for_unusable_videos_and_setups(filmed, tmp_path) -> None:
 def test_the_simulated_camera_rejects_points_outside_its_view(tmp_path) -> None:
     world = load_world("room")
     for changed, told in (
-        ({"focal": 5000.0}, "whole way"),
+        ({"focal": 5000.0}, "whole path"),
         ({"marker_size": 0.02}, "make it 0.06 m"),
     ):
         device = DEVICE.model_copy(update=changed)

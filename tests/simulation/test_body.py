@@ -53,7 +53,7 @@ def test_settled_motion_is_an_exact_arc(left, right):
     robot = body()
     robot.drive(left, right)
     robot.advance(2.0)
-    turn_rate = AT_ONCE.kept * (right - left) / AT_ONCE.track
+    turn_rate = AT_ONCE.turn_efficiency * (right - left) / AT_ONCE.track
     twist = np.array([0.5 * (left + right), 0.0, turn_rate])
     np.testing.assert_allclose(robot.twist, twist[[0, 2]], atol=1e-12)
     start = robot.at(np.array([0.5]))[0]
@@ -82,16 +82,16 @@ def test_motors_follow_with_a_first_order_lag():
 def test_motors_are_limited_in_acceleration_and_speed():
     robot = Body(EMPTY, PERFECT)
     robot.drive(5.0, 5.0)
-    np.testing.assert_allclose(robot.told, [1.0, 1.0])
+    np.testing.assert_allclose(robot.commanded, [1.0, 1.0])
     robot.advance(0.05)
     np.testing.assert_allclose(robot.motors, [0.25, 0.25])
     robot.advance(3.0)
     np.testing.assert_allclose(robot.motors, [1.0, 1.0], atol=1e-6)
 
 
-def test_kept_share_of_a_turn_balances_the_friction_of_four_wheels():
+def test_turn_efficiency_balances_the_friction_of_four_wheels():
     train = Drivetrain()
-    w, omega = 0.3, train.kept * 2 * 0.3 / train.track
+    w, omega = 0.3, train.turn_efficiency * 2 * 0.3 / train.track
     moment = 0.0
     for x in (0.5 * train.wheelbase, -0.5 * train.wheelbase):
         for y in (0.5 * train.track, -0.5 * train.track):
@@ -100,11 +100,11 @@ def test_kept_share_of_a_turn_balances_the_friction_of_four_wheels():
             force = -sliding / np.linalg.norm(sliding)
             moment += x * force[1] - y * force[0]
     assert moment == pytest.approx(0.0, abs=1e-12)
-    assert train.kept == pytest.approx(0.64)
+    assert train.turn_efficiency == pytest.approx(0.64)
 
 
 @pytest.mark.parametrize(("side", "sign"), [("left", 1.0), ("right", -1.0)])
-def test_a_stalled_side_stands_and_the_robot_turns_about_it(side, sign):
+def test_the_robot_turns_about_a_stalled_side(side, sign):
     robot = Body(EMPTY, PERFECT)
     robot.drive(0.3, 0.3)
     robot.advance(1.0)
@@ -145,12 +145,12 @@ def test_time_does_not_run_backwards_and_memory_ends():
 
 
 @pytest.mark.parametrize("speed", [math.nan, math.inf])
-def test_what_is_no_speed_is_refused(speed):
-    with pytest.raises(ValueError, match="no motion"):
+def test_non_finite_speeds_are_rejected(speed):
+    with pytest.raises(ValueError, match="not finite"):
         body().drive(0.1, speed)
 
 
-def test_a_robot_too_small_to_stop_is_refused():
+def test_a_robot_too_small_to_stop_is_rejected():
     with pytest.raises(ConfigError, match=r"robot\.radius = 0\.001 m: too small"):
         body(world(radius=0.001))
 
@@ -206,7 +206,7 @@ def test_obstacles_stop_the_robot_from_all_sides(kind, side, aim, gear):
 
 
 @pytest.mark.parametrize("speed", [1.0, -1.0])
-def test_it_stands_before_a_wall_and_its_wheels_with_it(speed):
+def test_it_stops_at_a_wall_and_its_wheels_stop(speed):
     walls = [{"start": (x, -2), "end": (x, 2)} for x in (-1.0, 1.0)]
     robot = body(world(walls=walls))
     robot.drive(speed, speed)
@@ -221,7 +221,7 @@ def test_it_stands_before_a_wall_and_its_wheels_with_it(speed):
     np.testing.assert_allclose(robot.pose[0], 0.25 * speed, atol=2e-3)
 
 
-def test_it_slides_along_a_wall_with_what_is_left_of_its_speed():
+def test_it_slides_along_a_wall_with_the_remaining_speed():
     robot = put(body(world(walls=[{"start": (-1, 0.25), "end": (20, 0.25)}])), 0, 0, 0.5)
     robot.drive(0.4, 0.4)
     robot.advance(5.0)
@@ -231,11 +231,11 @@ def test_it_slides_along_a_wall_with_what_is_left_of_its_speed():
     assert robot.twist[0] == pytest.approx(0.4 * math.cos(0.5) ** 2, abs=1e-6)
 
 
-def test_it_can_turn_where_it_touches():
+def test_it_can_turn_in_contact():
     robot = put(body(world(walls=[{"start": (-1, 0.25), "end": (1, 0.25)}])), 0, 0, 0)
     robot.drive(-0.3, 0.3)
     robot.advance(1.0)
-    assert robot.pose[2] == pytest.approx(AT_ONCE.kept * 0.6 / 0.4, abs=2e-3)
+    assert robot.pose[2] == pytest.approx(AT_ONCE.turn_efficiency * 0.6 / 0.4, abs=2e-3)
     np.testing.assert_allclose(robot.pose[:2], 0.0, atol=1e-6)
 
 
@@ -250,7 +250,7 @@ def test_a_robot_put_too_near_can_leave_but_come_no_nearer():
     np.testing.assert_allclose(robot.pose[0], -0.25, atol=2e-3)
 
 
-def test_doors_let_through_when_they_stand_open():
+def test_open_doors_can_be_passed():
     wall = Wall(name="w", start=(1.0, -3.0), end=(1.0, 3.0))
     door = Door(wall="w", at=2.5, width=1.0, open=((3.0, 9.0),), swing_time=0.5)
     place = world(walls=[wall.model_dump()], doors=[door.model_dump()])
@@ -362,7 +362,7 @@ def test_wheels_have_the_statistics_of_the_offline_simulation(kind):
         assert np.std(a) / np.std(b) == pytest.approx(1.0, abs=0.2)
 
 
-def test_that_comparison_would_notice_half_as_much_again():
+def test_the_comparison_detects_50_percent_more_noise():
     a = online(400, slip_sigma=0.15) @ [-1.0, 1.0]
     b = offline(400, slip_sigma=0.1) @ [-1.0, 1.0]
     assert ks_2samp(a, b).pvalue < 1e-3
@@ -439,7 +439,7 @@ def test_sweeps_see_the_arena_from_where_the_body_was():
 
 
 @pytest.mark.parametrize("begin", [4.97, 0.5])
-def test_a_sweep_that_cannot_be_known_is_refused(begin):
+def test_a_sweep_outside_the_stored_past_is_rejected(begin):
     robot = body(ARENA)
     robot.advance(5.0)
     with pytest.raises(ValueError, match="cannot be read"):

@@ -47,7 +47,7 @@ def test_5_mp_show_the_field_of_the_thesis():
     assert np.abs(shrunk.astype(int) - small).mean() < 8.0  # the same view
 
 
-def test_without_being_asked_for_there_is_none():
+def test_there_are_no_pictures_by_default():
     settings = ["encoders=none", "imu=none", "truth_rate=1.0"]
     told = list(simulate(load_world("room"), load_robot(settings=settings), 1))
     assert any(isinstance(message, LaserScan) for message in told)

@@ -11,7 +11,7 @@ from impslam.simulation.world import Drive, load_world
 
 
 @pytest.mark.parametrize("name", ["arena", "room", "corridor"])
-def test_robot_keeps_its_limits_and_ends_where_its_way_does(name):
+def test_robot_keeps_its_limits_and_reaches_the_end_of_its_path(name):
     plan = load_world(name).robot
     way = drive(plan)
     v, omega = way.twists.T
@@ -26,7 +26,7 @@ def test_robot_keeps_its_limits_and_ends_where_its_way_does(name):
     np.testing.assert_array_equal(way.poses[0], plan.start)
 
 
-def test_arena_run_lasts_and_ends_as_said():
+def test_arena_run_has_the_documented_duration_and_end():
     way = drive(load_world("arena").robot)
     assert 60.0 <= way.duration <= 120.0
     np.testing.assert_allclose(way.poses[-1, :2], [-0.4459, 2.3715], atol=2e-4)
@@ -68,5 +68,5 @@ def test_robot_that_circles_its_goal_is_an_error_not_a_hang():
         turn_rate=0.5,
         turn_acceleration=0.05,
     )
-    with pytest.raises(ConfigError, match="longer lookahead"):
+    with pytest.raises(ConfigError, match="increase lookahead"):
         drive(plan)

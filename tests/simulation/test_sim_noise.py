@@ -47,7 +47,7 @@ def test_perfect_encoders_integrate_to_the_true_path(name):
     assert worst < 1e-9
 
 
-def test_encoder_variance_grows_with_the_way():
+def test_encoder_variance_grows_with_distance():
     ways = np.array([readings(STRAIGHT, seed, noise=4e-4)[[100, 400]] for seed in range(400)])
     errors = ways - np.array([1.0, 4.0])[None, :, None]
     variance = (errors**2).mean(axis=(0, 2))
@@ -62,7 +62,7 @@ def test_encoders_at_rest_are_silent():
     assert np.ptp(readings(still, noise=1.0, skid_rate=5.0), axis=0).max() == 0.0
 
 
-def test_systematic_errors_scale_the_way_and_the_turn():
+def test_systematic_errors_scale_distance_and_turn():
     rates = np.array([readings(STRAIGHT, seed, radius_sigma=0.01)[-1] / 4.0 for seed in range(500)])
     assert (1.0 / rates - 1.0).std() == pytest.approx(0.01, rel=0.15)
     turns = np.array([readings(TURN, seed, track_sigma=0.02)[-1] for seed in range(500)])
@@ -90,7 +90,7 @@ def test_slip_is_drawn_once_per_turn():
     assert abs(kept[0] - kept[250]) > 1e-6
 
 
-def test_skids_are_as_frequent_and_as_long_as_said():
+def test_skids_have_the_given_frequency_and_length():
     lost = [4.0 - readings(STRAIGHT, s, skid_rate=0.5, skid_length=0.02)[-1] for s in range(300)]
     assert np.min(lost) >= -1e-12
     assert np.mean(lost) == pytest.approx(4.0 * 0.5 * 0.02, rel=0.2)
@@ -108,7 +108,7 @@ def test_readings_are_multiples_of_the_encoders_step():
     assert np.abs(angles[:, 0] - angles[0, 0] - exact).max() <= 2 * math.pi / 4096 + 1e-12
 
 
-def test_perfect_gyro_sums_to_the_angle_and_accelerometer_feels_the_curve():
+def test_perfect_gyro_sums_to_the_angle_and_accelerometer_measures_the_curve():
     way = travelling(0.5, 0.4, 2.0)
     times = ticks(100.0, way.duration)
     rates, forces = inertial(InertialUnit.perfect(), way, times, np.random.default_rng(0))

@@ -74,7 +74,7 @@ def test_circle_is_met_from_inside(part, bearing, direction):
     assert math.hypot(*end) == pytest.approx(1.0)
 
 
-def test_segment_ends_where_it_ends_and_nothing_lies_behind():
+def test_rays_miss_beside_and_behind_a_segment():
     wall = [[2.0, -1.0, 2.0, 1.0]]
     edge = math.atan2(1.0, 2.0)
     ranges, _ = cast([0, 0, 0], [edge - 1e-6, edge + 1e-6, math.pi], wall)
@@ -86,7 +86,7 @@ def test_parallel_ray_misses():
     assert np.isinf(cast([0, 0, 0], [0.0], [[1.0, 0.5, 2.0, 0.5]])[0]).all()
 
 
-def test_nearest_wins_and_reach_ends():
+def test_the_nearest_hit_within_the_maximum_range_counts():
     walls = [[3.0, -1, 3.0, 1], [2.0, -1, 2.0, 1], [4.0, -1, 4.0, 1]]
     circles = [[1.5, 0.0, 0.25]]
     assert cast([0, 0, 0], [0.0], walls)[0] == pytest.approx(2.0)
@@ -94,7 +94,7 @@ def test_nearest_wins_and_reach_ends():
     assert np.isinf(cast([0, 0, 0], [0.0], walls, reach=1.9)[0]).all()
 
 
-def test_moving_things_are_met_where_they_are_at_the_beams_time():
+def test_moving_objects_are_hit_at_the_beams_time():
     fractions = np.linspace(0.0, 1.0, 11)
     lasers, angles = np.zeros((11, 3)), np.zeros(11)
     wall = np.array([[[2.0, -1, 2.0, 1]], [[3.0, -1, 3.0, 1]]])

@@ -131,7 +131,7 @@ def dead_reckoning_error(world, seed: int) -> float:
     return math.dist(steps.sum(axis=1) + world.robot.start[:2], of(TruePose, messages)[-1].pose[:2])
 
 
-def test_default_robot_is_lost_by_dead_reckoning_but_not_absurdly():
+def test_dead_reckoning_of_the_default_robot_drifts_moderately():
     errors = [dead_reckoning_error(load_world("arena"), seed) for seed in range(12)]
     assert 0.25 < np.median(errors) < 1.0
     assert max(errors) < 2.5

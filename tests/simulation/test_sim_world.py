@@ -14,7 +14,7 @@ MINIMAL = "[robot]\nwaypoints = [[1.0, 0.0]]\n"
 WALL = '[[walls]]\nname = "a"\nstart = [0, 0]\nend = [4, 0]\n'
 
 
-def test_shipped_worlds_load_and_know_their_names():
+def test_shipped_worlds_load_with_their_names():
     assert {"arena", "corridor", "room"} <= set(shipped_worlds())
     for name in shipped_worlds():
         assert load_world(name).name == name
@@ -67,8 +67,8 @@ def test_wall_through_the_origin_keeps_its_normal():
         (MINIMAL + "sped = 1", "did you mean 'speed'?"),
         (MINIMAL + WALL + WALL, "the name 'a' is given twice"),
         (MINIMAL + WALL.replace("4", "0"), "walls.0: start and end are the same"),
-        (MINIMAL + WALL + '[[doors]]\nwall = "b"\nat = 1', "doors.0: no wall is called 'b'"),
-        (MINIMAL + WALL + '[[doors]]\nwall = "a"\nat = 3.5', "doors.0: reaches beyond"),
+        (MINIMAL + WALL + '[[doors]]\nwall = "b"\nat = 1', "doors.0: no wall named 'b'"),
+        (MINIMAL + WALL + '[[doors]]\nwall = "a"\nat = 3.5', "doors.0: extends beyond"),
         (MINIMAL + WALL + 2 * '[[doors]]\nwall = "a"\nat = 1\n', "doors.1: overlaps"),
         (MINIMAL + WALL + '[[doors]]\nwall = "a"\nat = 1\nopen = [[5, 3]]', "doors.0.open"),
         (MINIMAL + "[[people]]\nwaypoints = [[1, 1], [1, 1]]", "people.0: point 0"),
@@ -93,7 +93,7 @@ def test_unknown_world_and_unreadable_file(tmp_path):
     binary.write_bytes(b"\xff\xfe\x00")
     with pytest.raises(ConfigError, match="cannot be read as text"):
         load_world(binary)
-    with pytest.raises(ConfigError, match="no such world"):
+    with pytest.raises(ConfigError, match="no such world or file"):
         load_world(tmp_path)
 
 
@@ -156,7 +156,7 @@ def legs(time: float, extra: str = "") -> np.ndarray:
     return Scene(parse_world(MINIMAL + PERSON + extra, "w.toml")).legs(time)
 
 
-def test_person_stands_walks_and_stands():
+def test_a_person_stands_still_before_and_after_the_walk():
     np.testing.assert_allclose(legs(0.0)[:, :2], [[0, 2.1], [0, 1.9]], atol=1e-12)
     np.testing.assert_allclose(legs(5.0), legs(0.0), atol=1e-12)
     np.testing.assert_allclose(legs(9.0)[:, 0].mean(), 4.0, atol=1e-12)

@@ -53,7 +53,7 @@ def test_carpark_comes_in_the_order_of_its_events(carpark):
     assert source.problems.counts == {}
 
 
-def test_carparks_scans_run_from_right_to_left_with_their_brightness(carpark):
+def test_carpark_scans_run_from_right_to_left_with_intensities(carpark):
     scan = [m for m in read(carpark)[0] if isinstance(m, LaserScan)][1]
     assert len(scan.ranges) == 361
     np.testing.assert_allclose(np.degrees(scan.angles[[0, 180, 360]]), [-90.0, 0.0, 90.0])
@@ -61,7 +61,7 @@ def test_carparks_scans_run_from_right_to_left_with_their_brightness(carpark):
     assert scan.range_max < 81.91  # which means no echo
 
 
-def test_events_of_no_sensor_and_readings_that_are_not_there_are_dropped(carpark):
+def test_events_of_unknown_sensors_or_missing_readings_are_dropped(carpark):
     edit(carpark, Sensor=[[2, 7, 3, 2, 3, 1, 2]], Index=[[1, 1, 9, 0, 2, 2, 3]])
     messages, source = read(carpark)
     assert [m.stamp for m in messages] == [1.0, 1.5, 1.625, 1.75]
@@ -71,7 +71,7 @@ def test_events_of_no_sensor_and_readings_that_are_not_there_are_dropped(carpark
     )
 
 
-def test_readings_that_are_no_numbers_are_dropped(carpark):
+def test_non_finite_readings_are_dropped(carpark):
     edit(carpark, Velocity=[[0.5, NAN, 1.0]], GPSLon=[[np.inf, 4.5]], TimeLaser=[[1.25, NAN]])
     messages, source = read(carpark)
     assert [m.stamp for m in messages] == [1.0, 1.25, 1.625, 1.75]
@@ -83,19 +83,19 @@ def test_readings_that_are_no_numbers_are_dropped(carpark):
     [
         ({"Velocity": [[0.5, 1.0]]}, "lengths differ"),
         ({"Index": [[1, 1]]}, "lengths differ"),
-        ({"TimeLaser": [[1.0]]}, "do not fit"),
-        ({"Intensity": np.zeros((2, 360))}, "do not fit"),
-        ({"Steering": "left"}, "no row of numbers"),
-        ({"Laser": np.zeros((2, 3), complex)}, "no table of numbers"),
+        ({"TimeLaser": [[1.0]]}, "different sizes"),
+        ({"Intensity": np.zeros((2, 360))}, "different sizes"),
+        ({"Steering": "left"}, "not a row of numbers"),
+        ({"Laser": np.zeros((2, 3), complex)}, "not a table of numbers"),
     ],
 )
-def test_a_carpark_that_does_not_fit_together_is_refused_in_one_line(carpark, changes, why):
+def test_an_inconsistent_carpark_is_a_one_line_error(carpark, changes, why):
     edit(carpark, **changes)
     with pytest.raises(SourceError, match=f"{carpark}: [^\n]*{why}[^\n]*copy it again$"):
         read(carpark)
 
 
-def test_the_survey_beside_the_log_is_told_for_scoring(carpark):
+def test_the_survey_beside_the_log_gives_true_landmarks(carpark):
     assert recognise(carpark)(path=carpark).true_landmarks() == []
     survey = carpark.with_name("survey.mat")
     savemat(survey, {"estbeac": [[1.0, 2.0], [NAN, 3.0], [4.0, 5.0]]})
@@ -116,7 +116,7 @@ def test_a_folder_is_read_like_its_file(carpark):
     assert len(source.true_landmarks()) == 1
 
 
-def test_a_log_without_a_variable_is_not_taken_for_one(carpark):
+def test_a_file_without_a_variable_is_not_recognised(carpark):
     edit(carpark, Intensity=None)
     with pytest.raises(SourceError, match="no known log format"):
         recognise(carpark)
@@ -144,7 +144,7 @@ def test_parks_streams_are_merged_by_their_stamps(park):
     assert source.position == source.total == 9
 
 
-def test_trees_bearings_are_counted_from_straight_ahead(park):
+def test_tree_bearings_are_relative_to_straight_ahead(park):
     trees, none, _ = (m for m in read(park)[0] if isinstance(m, Detections))
     np.testing.assert_allclose(trees.ranges, [8.0, 16.0])
     np.testing.assert_allclose(trees.bearings, [0.5 - math.pi / 2, 2.0 - math.pi / 2])
@@ -165,7 +165,7 @@ def test_the_parks_file_finds_the_gps_beside_it(park):
     assert sum(isinstance(m, TruePose) for m in messages) == 2
 
 
-def test_what_is_wrong_in_the_park_is_dropped(park):
+def test_bad_rows_of_the_park_are_dropped(park):
     cells = np.empty(3, object)
     cells[:] = [np.ones((2, 4)), np.array(["tree"]), np.ones((3, 2))]
     u = np.array([[1.0, NAN, 2.0, 0.0], [0.0, 0.125, 0.25, np.inf]])
@@ -184,13 +184,13 @@ def test_what_is_wrong_in_the_park_is_dropped(park):
         ({"TLsr": [[1.0, 2.0]]}, "lengths differ"),
     ],
 )
-def test_a_park_that_does_not_fit_together_is_refused_in_one_line(park, changes, why):
+def test_an_inconsistent_park_is_a_one_line_error(park, changes, why):
     edit(park / "log.mat", **changes)
     with pytest.raises(SourceError, match=f"log.mat: [^\n]*{why}[^\n]*copy it again$"):
         read(park)
 
 
-def test_what_is_no_matlab_file_has_no_variables(tmp_path, carpark):
+def test_other_files_have_no_matlab_variables(tmp_path, carpark):
     text = tmp_path / "text.mat"
     text.write_text("Time Sensor Index")
     assert variables(text) == variables(tmp_path) == frozenset()

@@ -64,7 +64,7 @@ def test_units_in_names(tmp_path: Path) -> None:
     np.testing.assert_array_equal(scan.angles, [-0.5, 0.0, 0.5])
 
 
-def test_columns_that_are_said(tmp_path: Path) -> None:
+def test_columns_given_by_the_user(tmp_path: Path) -> None:
     columns = {"stamp": "secs", "x": "px", "y": "py", "theta": "dir*0.5", "ranges": "d0:d2*0.001"}
     rows = ["secs,px,py,dir,note,d0,d1,d2", "1.5,1,2,3,hello,1000,2000,3000"]
     pose, scan = messages(tmp_path, *rows, columns=columns, angle_min=1.0, angle_step=-1.0)
@@ -104,7 +104,7 @@ def test_what_rostopic_echo_writes(tmp_path: Path) -> None:
     assert (scan.range_min, scan.range_max) == (0.1, 8.0)
 
 
-def test_rows_may_hold_one_of_both(tmp_path: Path) -> None:
+def test_rows_may_contain_odometry_or_a_scan_only(tmp_path: Path) -> None:
     rows = ["stamp,left,right,0,1,2", "1,1,2,,,", "2,,,1,2,3", "3,1,2,1,2,3", "# no row", ""]
     assert [(m.stamp, type(m)) for m in messages(tmp_path, *rows)] == [
         (1.0, WheelAngles), (2.0, LaserScan), (3.0, WheelAngles), (3.0, LaserScan),
@@ -122,20 +122,20 @@ def test_bad_rows_are_counted_and_dropped(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("header", "parameters", "said"),
     [
-        ("when,left,right,0,1,2", {}, r"no column is known as stamp \(when, left, right, 0"),
-        ("stamp,a,b,c,d,e", {}, "known as ranges .*: say --columns ranges=FIRST:LAST"),
+        ("when,left,right,0,1,2", {}, r"no column for stamp found \(when, left, right, 0"),
+        ("stamp,a,b,c,d,e", {}, "for ranges found .*: name it with --columns ranges=FIRST:LAST"),
         (
             "stamp,a,r0,r1,r2,r3",
             {},
-            "directions of the beams are not known: say --set source.angle_min",
+            "directions of the beams are unknown: give --set source.angle_min",
         ),
-        ("stamp,a,0,1,2,3", {"columns": {"x": "ab"}}, "no column 'ab' in it; did you mean 'a'"),
+        ("stamp,a,0,1,2,3", {"columns": {"x": "ab"}}, "no column 'ab'; did you mean 'a'"),
         ("stamp,a,0,1,2,3", {"columns": {"ranges": "0"}}, "expected ranges=FIRST:LAST"),
         ("stamp,a,0,1,2,3", {"columns": {"ranges": "2:0"}}, "0 is before 2"),
         ("stamp,a,0,1,2,3", {"columns": {"x": "a*b"}}, "'b' is not a number"),
     ],
 )
-def test_columns_that_cannot_be_told_are_said(
+def test_unknown_columns_are_errors(
     tmp_path: Path, header: str, parameters: dict[str, object], said: str
 ) -> None:
     path = log(tmp_path, header, "1,2,3,4,5,6")
@@ -161,7 +161,7 @@ def test_a_csv_log_is_mapped(tmp_path: Path, capsys: pytest.CaptureFixture[str])
             rows.append(",".join([f"{m.stamp:.6f}", *map(str, wheels[m.stamp]), *cells]))
     path = log(tmp_path, *rows)
     assert main(["run", str(path)]) == 2
-    assert "no column is known as stamp (clock, enc_l, enc_r, b0" in capsys.readouterr().err
+    assert "no column for stamp found (clock, enc_l, enc_r, b0" in capsys.readouterr().err
     given = ["--columns", "stamp=clock,left=enc_l,right=enc_r", "--columns", "ranges=b0:b681"]
     for one in (f"angle_min={-340 * math.tau / 1024}", f"angle_step={math.tau / 1024}"):
         given += ["--set", f"source.{one}"]

@@ -88,23 +88,23 @@ def test_formats_are_never_confused(logs: dict[str, Path], name: str) -> None:
         bytes(range(256)),
     ],
 )
-def test_other_files_are_refused_in_one_line(tmp_path: Path, content: bytes) -> None:
+def test_other_files_are_one_line_errors(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "file"
     path.write_bytes(content)
     with pytest.raises(SourceError, match=r"^.*file: no known log format; readable are [^\n]*$"):
         recognise(path)
 
 
-def test_a_file_that_begins_with_zeros_says_why(tmp_path: Path) -> None:
+def test_a_file_that_begins_with_zeros_is_explained(tmp_path: Path) -> None:
     """As a recorder leaves it that goes on behind what another program cut off."""
     path = tmp_path / "file.mcap"
     path.write_bytes(bytes(5000) + b"\x06 and more")
-    with pytest.raises(SourceError, match="begins with zeros: cut while it was written"):
+    with pytest.raises(SourceError, match="begins with zeros: writing was interrupted"):
         recognise(path)
 
 
 @pytest.mark.parametrize("as_folder", [False, True])
-def test_an_mcap_with_a_hole_is_told(tmp_path: Path, as_folder: bool) -> None:
+def test_an_mcap_with_a_hole_is_reported(tmp_path: Path, as_folder: bool) -> None:
     """Nothing is compressed and nothing has a checksum, as `ros2 bag record` writes by default."""
     folder = bag(tmp_path / "mcap", *[("/scan", scan(ROS2, n=50))] * 40)
     file = next(folder.glob("*.mcap"))
@@ -117,7 +117,7 @@ def test_an_mcap_with_a_hole_is_told(tmp_path: Path, as_folder: bool) -> None:
     assert set(source.problems.counts) & {"missing messages", "damaged file"}
 
 
-def test_a_folder_with_an_mcap_that_lacks_its_end_is_told(tmp_path: Path) -> None:
+def test_a_folder_with_a_truncated_mcap_is_reported(tmp_path: Path) -> None:
     folder = bag(tmp_path / "mcap", *[("/scan", scan(ROS2, n=50_000))] * 40)
     file = next(folder.glob("*.mcap"))
     content = file.read_bytes()
@@ -127,7 +127,7 @@ def test_a_folder_with_an_mcap_that_lacks_its_end_is_told(tmp_path: Path) -> Non
     assert set(source.problems.counts) >= {"cut file"}
 
 
-def test_nothing_is_refused_in_one_line(tmp_path: Path) -> None:
+def test_an_empty_path_is_a_one_line_error(tmp_path: Path) -> None:
     (tmp_path / "empty").touch()
     for path, why in ((tmp_path / "empty", "is empty"), (tmp_path / "no", "no such file")):
         with pytest.raises(SourceError, match=why):

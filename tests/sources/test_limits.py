@@ -79,11 +79,11 @@ def test_an_mcap_with_a_large_chunk(tmp_path: Path, mode, as_folder: bool) -> No
     folder = mcap(tmp_path / "log", lambda w, c: w.write(c, 1, LARGE), mode)
     if mode is not None:
         assert single(folder).stat().st_size < MB / 10
-    refused(folder if as_folder else single(folder), "64 MB", "check where it is from")
+    refused(folder if as_folder else single(folder), "64 MB", "check its origin")
 
 
 @pytest.mark.parametrize("size", [1, 100 * MB])
-def test_an_mcap_with_a_chunk_that_lies(tmp_path: Path, size: int) -> None:
+def test_an_mcap_with_a_wrong_chunk_size(tmp_path: Path, size: int) -> None:
     """Whatever it says, no more than the limit is unpacked."""
 
     def write(writer: Writer2, connection: Any) -> None:
@@ -117,7 +117,7 @@ def test_a_long_mcap_is_read_in_little_memory(tmp_path: Path) -> None:
     assert source.problems.counts["malformed scan message"] == 40
 
 
-def test_an_mcap_with_names_without_end(tmp_path: Path) -> None:
+def test_an_mcap_with_endless_names(tmp_path: Path) -> None:
     """Schemas in chunks, as a log has them that lacks its end."""
     log = single(mcap(tmp_path / "log", lambda w, c: w.write(c, 1, b""), None))
     start = log.read_bytes()[:8]
@@ -227,7 +227,7 @@ def test_a_folder_with_a_large_matlab_file(tmp_path: Path) -> None:
 # --------------------------------------------------------------------------- text
 
 
-def test_words_without_end_are_not_kept(tmp_path: Path) -> None:
+def test_endless_words_are_not_kept(tmp_path: Path) -> None:
     log = tmp_path / "a.log.gz"
     with gzip.open(log, "wt", compresslevel=1) as file:
         file.write("ODOM 0 0 0 0 0 0 1.0 host 0\nFLASER 1 1 0 0 0 0 0 0 2.0 host 0\n" * 9)
@@ -258,7 +258,7 @@ def pipe(tmp_path: Path) -> Path:
     return path
 
 
-def test_what_is_no_file_is_refused(tmp_path: Path, pipe: Path, monkeypatch) -> None:
+def test_a_pipe_is_rejected(tmp_path: Path, pipe: Path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)  # names of sockets are short
     with socket.socket(socket.AF_UNIX) as listener:
         listener.bind("socket")

@@ -137,7 +137,7 @@ def test_zeroed_from_anywhere_what_was_synced_is_there(
 
 @FUZZ
 @given(data=st.data())
-def test_anything_behind_the_last_sync_is_left_out(
+def test_data_after_the_last_sync_are_left_out(
     killed: tuple[bytes, list[int]], tmp_path: Path, data: st.DataObject
 ) -> None:
     content, ends = killed
@@ -167,7 +167,7 @@ def test_a_flipped_bit_is_never_taken_for_data(
 def test_nothing_is_overwritten(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     path.write_text("precious")
-    with pytest.raises(SourceError, match="exists already"):
+    with pytest.raises(SourceError, match="already exists"):
         LiveMcapWriter(path, "imp", 1.0).__enter__()
     assert path.read_text() == "precious"
     assert [p.name for p in tmp_path.iterdir()] == ["a.mcap"]
@@ -175,7 +175,7 @@ def test_nothing_is_overwritten(tmp_path: Path) -> None:
         LiveMcapWriter(tmp_path / "no" / "a.mcap", "imp", 1.0).__enter__()
 
 
-def test_who_writes_can_be_told_until_it_is_closed(tmp_path: Path) -> None:
+def test_a_log_is_being_written_until_it_is_closed(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     with LiveMcapWriter(path, "imp", 1.0):
         assert is_being_written(path)
@@ -184,7 +184,7 @@ def test_who_writes_can_be_told_until_it_is_closed(tmp_path: Path) -> None:
     assert not is_being_written(tmp_path / "missing.mcap")
 
 
-def test_a_log_that_moved_is_noticed(tmp_path: Path) -> None:
+def test_a_moved_log_is_detected(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     with LiveMcapWriter(path, "imp", 1.0) as writer:
         assert writer.in_place
@@ -202,7 +202,7 @@ def failing(code: int) -> Callable[[int], None]:
 
 
 @pytest.mark.parametrize("when", ["begin", "middle", "end"])
-def test_errors_of_the_disk_come_out_and_leave_a_readable_log(
+def test_disk_errors_are_raised_and_leave_a_readable_log(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, when: str
 ) -> None:
     path = tmp_path / "a.mcap"
@@ -227,7 +227,7 @@ def test_errors_of_the_disk_come_out_and_leave_a_readable_log(
         assert [p.name for p in tmp_path.iterdir()] == ["a.mcap"]
 
 
-def test_a_message_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
+def test_a_message_is_written_completely_or_not_at_all(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     with LiveMcapWriter(path, "imp", 1.0) as writer:
         with pytest.raises(struct.error):  # in the second of its two topics

@@ -34,7 +34,7 @@ def test_all_files_are_merged_by_time(tmp_path):
     assert not source.problems.counts
 
 
-def test_a_picture_holds_the_landmarks_seen_within_milliseconds_and_no_robot(tmp_path):
+def test_a_picture_has_the_landmarks_seen_within_milliseconds_but_no_robots(tmp_path):
     found, _ = read(write_mrclam(tmp_path / "set"))
     pictures = of(found, Detections)
     assert [m.stamp for m in pictures] == [100.5, 101.0, 101.25, 101.5, 101.75]
@@ -54,7 +54,7 @@ def test_an_unknown_barcode_is_a_problem_that_names_its_line(tmp_path):
     assert len(of(found, Detections)) == 5
 
 
-def test_the_robot_is_chosen_by_parameter_or_by_a_file_of_its(tmp_path):
+def test_the_robot_is_chosen_by_parameter_or_file(tmp_path):
     folder = write_mrclam(tmp_path / "set")
     write_robot(folder, 4)
     assert Mrclam(path=folder)._number == 2
@@ -67,9 +67,9 @@ def test_the_robot_is_chosen_by_parameter_or_by_a_file_of_its(tmp_path):
         assert [s.name for s in others] == ["Robot2_*.dat"]
 
 
-def test_a_robot_that_is_not_there_is_refused_with_those_that_are(tmp_path):
+def test_a_missing_robot_is_an_error_that_lists_the_others(tmp_path):
     folder = write_mrclam(tmp_path / "set")
-    with pytest.raises(SourceError, match=r"robot 3; there are those of 2: choose by --set"):
+    with pytest.raises(SourceError, match=r"robot 3; available: 2; choose one with --set"):
         Mrclam(path=folder, robot=3).__enter__()
 
 

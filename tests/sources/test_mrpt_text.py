@@ -35,7 +35,7 @@ def test_detections(tmp_path):
     assert len(empty.ranges) == 0
 
 
-def test_a_detection_above_the_plane_is_brought_down_to_it(tmp_path):
+def test_a_detection_above_the_plane_is_projected(tmp_path):
     log = write_mrpt_text(tmp_path / "log.txt")
     with log.open("a") as file:
         file.write("BR 0 0 0 0 1 3 2.0 0.5 1.0471975511965976\n")

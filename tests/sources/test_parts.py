@@ -1,4 +1,4 @@
-"""Columns of several layouts are joined and cut, in order; stamps are checked across the cuts."""
+"""Columns of several layouts are joined and cut into batches, in order; stamps are checked across them."""
 
 import heapq
 from itertools import pairwise
@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from impslam import columns
 from impslam.columns import Columns
-from impslam.sources.parts import Piece, cut, turns
+from impslam.sources.parts import Piece, merge_order, to_batches
 from impslam.sources.stamps import StampCheck
 from impslam.types import OdometryPose
 
@@ -26,7 +26,7 @@ def poses(stream: str, order: list[int], layout: float = 0.0) -> Columns:
 @pytest.mark.parametrize("rows", [1, 2, 3, 100])
 def test_columns_are_cut_in_the_order_of_the_log(rows: int) -> None:
     parts = [poses("a", [0, 3, 4]), poses("b", [1, 5, 9]), poses("a", [2, 8]), poses("b", [7])]
-    batches = list(cut(parts, rows))
+    batches = list(to_batches(parts, rows))
     for one, two in pairwise(batches):
         last = max(columns.order[-1] for columns in one.values())
         assert last < min(columns.order[0] for columns in two.values())
@@ -45,23 +45,23 @@ def test_a_batch_ends_where_a_layout_changes() -> None:
     parts = [poses("a", [0, 1, 4]), poses("a", [2, 3], 1.0), poses("b", [5])]
     found = [
         {name: (c.order.tolist(), c["angle"]) for name, c in batch.items()}
-        for batch in cut(parts, 100)
+        for batch in to_batches(parts, 100)
     ]
     assert found == [{"a": ([0, 1], 0.0)}, {"a": ([2, 3], 1.0)}, {"a": ([4], 0.0), "b": ([5], 0.0)}]
 
 
-def test_nothing_gives_no_batch() -> None:
-    assert not list(cut([], 5))
+def test_no_rows_give_no_batch() -> None:
+    assert not list(to_batches([], 5))
 
 
 STAMPS = [0.0, 0.5, 0.5, 0.25, 20.0, 20.0, 19.0, 60.0]
 WANTED = {
-    "repeated stamp": ("a.log:102: x has the stamp 0.500000 of the one before it", 2),
+    "repeated stamp": ("a.log:102: x has the same stamp as its predecessor, 0.500000", 2),
     "backward stamp": (
-        "a.log:103: x is stamped 0.250000 s before its predecessor; file order is kept",
+        "a.log:103: x has a stamp 0.250000 s before that of its predecessor; file order is kept",
         2,
     ),
-    "gap": ("a.log:104: x has been silent for 19.8 s; was it paused?", 2),
+    "gap": ("a.log:104: x was silent for 19.8 s; was recording paused?", 2),
 }
 
 
@@ -101,7 +101,7 @@ def test_a_full_batch_does_not_wait_for_the_next_message() -> None:
 def test_files_are_merged_as_by_heapq(stamps: list[list[float]]) -> None:
     streams = [[(x, i, k) for k, x in enumerate(each)] for i, each in enumerate(stamps)]
     expected = list(heapq.merge(*streams, key=lambda row: row[0]))
-    found = turns(*(np.array(each, float) for each in stamps))
+    found = merge_order(*(np.array(each, float) for each in stamps))
     assert [
         (stamps[i][k], i, k)
         for _, i, k in sorted(

@@ -46,7 +46,7 @@ def record(path: Path, *what: Message, preset: str = "imp") -> Path:
     return path
 
 
-def test_messages_come_back_as_they_were_and_in_order(tmp_path: Path) -> None:
+def test_messages_survive_a_round_trip_in_order(tmp_path: Path) -> None:
     found, source = read(write_mcap(tmp_path / "a.mcap"))
     for have, want in zip(found, messages(), strict=True):
         if isinstance(want, OdometryPose | TruePose):
@@ -62,7 +62,7 @@ def test_the_same_messages_give_the_same_bytes_under_any_name(tmp_path: Path) ->
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.mcap", "other name.mcap"]
 
 
-def test_the_preset_comes_first_and_back(tmp_path: Path) -> None:
+def test_the_preset_is_written_first_and_read_back(tmp_path: Path) -> None:
     path = record(tmp_path / "a.mcap", WheelAngles(5.0, 1.0, 2.0), preset="some-robot")
     with Reader(path) as reader:
         assert next(reader.messages())[0].topic == "/impslam/preset"
@@ -127,7 +127,7 @@ def test_a_simulation_may_begin_at_zero(tmp_path: Path) -> None:
         LaserScan(1.0, np.arange(3.0), np.ones(3), np.array([0.0, 0.1, 0.3])),
     ],
 )
-def test_what_ros_cannot_say_is_refused(tmp_path: Path, bad: Message) -> None:
+def test_messages_that_ros_cannot_represent_are_rejected(tmp_path: Path, bad: Message) -> None:
     with McapWriter(tmp_path / "a.mcap") as writer, pytest.raises(MessageError):
         writer.write(bad)
 
@@ -194,7 +194,7 @@ def one_of_each() -> list[tuple[Message, dict[str, dict[str, object]]]]:
 
 
 @pytest.mark.parametrize(("message", "topics"), one_of_each())
-def test_what_the_robot_says_is_there_for_other_tools(
+def test_events_of_the_robot_are_readable_by_other_tools(
     tmp_path: Path, message: Message, topics: dict[str, dict[str, object]]
 ) -> None:
     path = record(tmp_path / "a.mcap", message)
@@ -241,7 +241,7 @@ def test_a_covariance_of_zeros_is_none(tmp_path: Path) -> None:
     assert np.isnan(back.covariance).all()
 
 
-def test_brightness_is_recorded_where_it_is_known(tmp_path: Path) -> None:
+def test_intensities_are_recorded_if_known(tmp_path: Path) -> None:
     n = 3
     bright = np.array([1.0, 2.5, 0.0])
     scan = LaserScan(1.0, 0.1 * np.arange(n), np.ones(n), np.zeros(n), 0.0, 5.0, bright)
@@ -262,7 +262,7 @@ def test_device_titles_as_topics(title: str, topic: str) -> None:
     assert topic_name(title) == topic
 
 
-def test_what_has_no_ros_type_is_refused(tmp_path: Path) -> None:
+def test_messages_without_a_ros_type_are_rejected(tmp_path: Path) -> None:
     with (
         McapWriter(tmp_path / "a.mcap") as writer,
         pytest.raises(MessageError, match="Steering has no ROS type"),
@@ -270,7 +270,7 @@ def test_what_has_no_ros_type_is_refused(tmp_path: Path) -> None:
         writer.write(Steering(1.0, 0.5, 0.1))
 
 
-def test_what_a_receiver_is_read_from_is_said(tmp_path: Path) -> None:
+def test_the_topic_of_a_receiver_is_reported(tmp_path: Path) -> None:
     config = load("imp", ['sensors.gps.kind="navsat"', 'estimator.kind="landmarks"'])
     for what, said in (
         (fix(np.eye(3)), "gps /fix"),

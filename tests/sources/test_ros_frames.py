@@ -50,7 +50,7 @@ ZERO = [0, 0, 0]
 @pytest.mark.parametrize(
     ("ways", "said"),
     [
-        ([], "no transform tells where laser is"),
+        ([], "there is no transform to laser"),
         ([URDF[0], ("mast", "laser", ZERO, ZERO)], "laser leads up to mast, not to base_footprint"),
         (
             [("mast", "laser", ZERO, ZERO), ("laser", "mast", ZERO, ZERO)],
@@ -58,7 +58,7 @@ ZERO = [0, 0, 0]
         ),
     ],
 )
-def test_a_mount_that_is_not_told_is_said(entries, tmp_path, ways, said):
+def test_an_unknown_mount_is_reported(entries, tmp_path, ways, said):
     found, problems, line = read(bag(tmp_path, entries, *([links(*ways)] if ways else [])))
     assert "mount unknown, taken to be at base_link" in line
     assert said in line
@@ -70,17 +70,17 @@ def test_a_mount_that_is_not_told_is_said(entries, tmp_path, ways, said):
 @pytest.mark.parametrize(
     ("values", "said"), [((0, 0, 0, 2.0), "length 2"), ((0, 0, math.nan, 1), "not finite")]
 )
-def test_a_transform_that_is_none_is_left_out(entries, tmp_path, values, said):
+def test_an_invalid_transform_is_left_out(entries, tmp_path, values, said):
     message = T.links(STAMP, URDF)
     message.transforms[1].transform.rotation = T.new(
         "geometry_msgs/msg/Quaternion", *map(float, values)
     )
     line = read(bag(tmp_path, entries, (0.0, message)))[2]
-    assert "the transform base_link -> laser is not one: " in line
+    assert "the transform base_link -> laser is not valid: " in line
     assert said in line
 
 
-def test_a_mount_that_changes_drops_the_scans_until_it_is_back(entries, tmp_path):
+def test_scans_are_dropped_while_the_mount_differs(entries, tmp_path):
     moved = ("base_link", "laser", [0.1, 0.15, 0.1], ZERO)
     changes = [links(*URDF), (0.35, T.links(STAMP, [moved])), (0.65, T.links(STAMP, URDF))]
     found, problems, line = read(bag(tmp_path, entries, *changes))
@@ -107,7 +107,7 @@ def test_a_mount_in_the_config_is_not_watched(entries, tmp_path):
 
 
 @pytest.mark.parametrize("frame", ["roof", "nowhere"])
-def test_the_antenna_of_a_receiver_is_where_transforms_say(entries, tmp_path, frame):
+def test_the_antenna_of_a_receiver_is_located_by_transforms(entries, tmp_path, frame):
     status = T.new("sensor_msgs/msg/NavSatStatus", 0, 1)
     header = T.header(STAMP + 0.5, frame)
     fix = T.new("sensor_msgs/msg/NavSatFix", header, status, 52.0, 13.0, 40.0, np.zeros(9), 0)
@@ -118,7 +118,9 @@ def test_the_antenna_of_a_receiver_is_where_transforms_say(entries, tmp_path, fr
     antenna = config.make_models()["gps"].antenna
     if frame == "nowhere":
         assert antenna == (0.0, 0.0)
-        assert "gps /fix (antenna taken to be at base_link: no transform" in choices(config, source)
+        assert "gps /fix (antenna taken to be at base_link: there is no transform" in choices(
+            config, source
+        )
         return
     assert antenna == (-0.4, 0.2)
     assert "(antenna [-0.400 m, 0.200 m], /tf_static: base" in choices(config, source)
@@ -127,7 +129,7 @@ def test_the_antenna_of_a_receiver_is_where_transforms_say(entries, tmp_path, fr
     assert "(antenna [1.000 m, 0.000 m], the config)" in choices(config, source)
 
 
-def test_what_holds_at_the_first_scan_counts(entries, tmp_path):
+def test_the_transforms_at_the_first_scan_count(entries, tmp_path):
     before = ("base_link", "laser", [0.5, 0.5, 0.1], ZERO)
     early = [(-1.0, T.links(STAMP, [URDF[0], before])), (-0.5, T.links(STAMP, URDF))]
     problems, line = read(bag(tmp_path, entries, *early))[1:]
@@ -152,7 +154,7 @@ def test_a_tilted_laser_is_taken_as_level_or_refused(entries, tmp_path, pitch):
     assert "tilted by 28.6 deg and taken as level" in choices(config, source)
 
 
-def test_a_frame_with_two_parents_is_told(entries, tmp_path):
+def test_a_frame_with_two_parents_is_reported(entries, tmp_path):
     other = ("mast", "laser", [1, 1, 1], ZERO)
     problems, line = read(bag(tmp_path, entries, links(*URDF), links(other)))[1:]
     assert problems.counts == {"frame with two parents": 1}
@@ -171,7 +173,7 @@ def test_odometry_in_transforms_is_read_alike_at_once_and_one_by_one(entries, tm
     assert len(whole) == 50
 
 
-def test_odometry_that_is_no_transform_is_dropped_and_counted(entries, tmp_path):
+def test_invalid_odometry_transforms_are_dropped_and_counted(entries, tmp_path):
     spoilt = [e for e in entries if e[1] == "/tf"]
     for k, value in ((10, math.nan), (20, 3.0), (30, 1.0)):
         time = spoilt[k][0]
@@ -226,7 +228,7 @@ def test_odometry_of_another_body_is_not_base(tmp_path):
 
 
 @pytest.mark.parametrize("in_tf", [True, False])
-def test_of_two_robots_scans_and_odometry_are_of_the_same(tmp_path, in_tf):
+def test_scans_and_odometry_are_of_the_same_robot(tmp_path, in_tf):
     """The second robot's scans are more, the first one's odometry."""
     world, found = load_world("room"), []
     for name in ("one", "two"):
@@ -250,12 +252,12 @@ def test_of_two_robots_scans_and_odometry_are_of_the_same(tmp_path, in_tf):
     assert used == ("/tf" if in_tf else "/two/odom")
 
 
-def test_scans_without_a_frame_are_said(entries, tmp_path):
+def test_scans_without_a_frame_are_reported(entries, tmp_path):
     for entry in entries:
         if entry[1] == "/scan":
             entry[2].header.frame_id = ""
     try:
-        assert "its messages name no frame" in read(bag(tmp_path, entries, links(*URDF)))[2]
+        assert "its messages have no frame" in read(bag(tmp_path, entries, links(*URDF)))[2]
     finally:
         for entry in entries:
             if entry[1] == "/scan":

@@ -46,7 +46,7 @@ def test_every_storage_reads_alike(tmp_path: Path, kind: str) -> None:
     assert source.preset == "default"
 
 
-def test_the_fullest_topic_of_a_type_is_taken_and_it_says_so(tmp_path: Path) -> None:
+def test_the_topic_with_most_messages_is_used_and_reported(tmp_path: Path) -> None:
     path = bag(tmp_path / "b", ("/b", scan(ROS2)), ("/a", scan(ROS2, 2.5)), ("/a", scan(ROS2, 3.5)))
     assert [m.stamp for m in read(path)[0]] == [2.5, 3.5]
     assert [m.stamp for m in read(path, topics={"scan": "/b"})[0]] == [1.5]
@@ -63,7 +63,7 @@ def test_equal_counts_are_settled_by_name(tmp_path: Path) -> None:
     assert [m.stamp for m in read(path)[0]] == [2.5]
 
 
-def test_odometry_may_be_named_the_truth(tmp_path: Path) -> None:
+def test_odometry_may_be_assigned_to_the_truth(tmp_path: Path) -> None:
     path = bag(tmp_path / "b", ("/odom", odometry(ROS2)))
     assert [type(m) for m in read(path)[0]] == [OdometryPose]
     assert [type(m) for m in read(path, topics={"truth": "/odom"})[0]] == [TruePose]
@@ -130,7 +130,7 @@ def test_a_bag_without_definitions_uses_the_standard_types(tmp_path: Path) -> No
     np.testing.assert_array_equal(sweep.ranges, [0.0, 1.0, 2.0])
 
 
-def test_a_file_cut_by_loss_of_power_is_read_as_far_as_it_goes(tmp_path: Path) -> None:
+def test_a_file_truncated_by_power_loss_is_read_to_its_end(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     angles, times, ranges = np.arange(5000.0), np.zeros(5000), np.zeros(5000)
     with McapWriter(path) as writer:
@@ -147,7 +147,7 @@ def test_a_file_cut_by_loss_of_power_is_read_as_far_as_it_goes(tmp_path: Path) -
     assert source.preset == "imp"
 
 
-def test_a_second_lidar_is_a_stream_of_its_own_where_it_is_wanted(tmp_path: Path) -> None:
+def test_a_wanted_second_lidar_is_a_separate_stream(tmp_path: Path) -> None:
     path = bag(tmp_path / "b", ("/b", scan(ROS2)), ("/a", scan(ROS2, 2.5)), ("/a", scan(ROS2, 3.5)))
     with RosBag(path=path, wanted=("/b",)) as source:
         shown = {s.name: (s.used, s.default, s.note) for s in source.streams()}
@@ -158,7 +158,7 @@ def test_a_second_lidar_is_a_stream_of_its_own_where_it_is_wanted(tmp_path: Path
     assert {name: c.stamps.tolist() for name, c in batch.items()} == {"/a": [2.5, 3.5], "/b": [1.5]}
 
 
-def test_what_cannot_be_opened_says_what_to_do(tmp_path: Path) -> None:
+def test_a_bag_that_cannot_be_opened_is_an_error_with_advice(tmp_path: Path) -> None:
     path = write_mcap(tmp_path / "a.mcap")
     path.write_bytes(path.read_bytes()[:12])
     with pytest.raises(SourceError, match=r"a\.mcap: cannot be opened .*repair it with"):
@@ -187,7 +187,7 @@ def test_real_turtlebot(data_folder: Path) -> None:
     assert wheels[0].right == pytest.approx(-4.23206781)
 
 
-def test_what_went_wrong_on_the_robot_is_told_and_is_no_message(tmp_path: Path) -> None:
+def test_warnings_of_the_robot_are_problems_not_messages(tmp_path: Path) -> None:
     events = [("info", "ok"), ("warning", "slow\nindeed"), ("error", "lost"), ("error", "again")]
     with McapWriter(tmp_path / "a.mcap") as writer:
         writer.write(WheelAngles(1.0, 0.0, 0.0))
@@ -204,7 +204,7 @@ def test_what_went_wrong_on_the_robot_is_told_and_is_no_message(tmp_path: Path) 
 
 
 @pytest.mark.parametrize("store", [ROS1, ROS2], ids=["ros1", "ros2"])
-def test_messages_read_at_once_are_what_they_are_one_by_one(
+def test_messages_read_as_tables_equal_those_read_one_by_one(
     tmp_path: Path, store: Any, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     entries = [entry(store, i, rng) for i in range(400)]
@@ -251,7 +251,7 @@ def entry(store: Any, i: int, rng: np.random.Generator) -> tuple[str, Any]:
     ][rng.integers(5)]
 
 
-def test_a_message_that_is_cut_short_leaves_the_others_alone(tmp_path: Path) -> None:
+def test_a_truncated_message_does_not_affect_the_others(tmp_path: Path) -> None:
     path = bag(tmp_path / "a.mcap", *[("/scan", scan(ROS2, 0.5 * i, n=50)) for i in range(1, 30)])
     (file,) = path.glob("*.mcap")
     data = file.read_bytes()

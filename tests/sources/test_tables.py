@@ -65,7 +65,7 @@ def test_a_million_numbers_as_logs_have_them() -> None:
         ("A 1 2e 3 x y", False),
     ],
 )
-def test_lines_of_other_words_are_told(line: str, good: bool) -> None:
+def test_lines_with_other_words_are_not_good(line: str, good: bool) -> None:
     lines = Lines(f"{line}\nB 1\nA 1 2 3 x y".encode())
     found, sound = lines.table(np.array([0, 2]), 1, 3, 2)
     assert sound.tolist() == [good, True]
@@ -79,7 +79,7 @@ def test_a_line_with_more_odd_words_than_are_kept_is_not_read() -> None:
     assert not sound[600:1001].any()
 
 
-def test_lines_begin_and_end_where_they_do() -> None:
+def test_the_bounds_of_lines() -> None:
     lines = Lines(b"ab\n\nabc")
     assert [lines.line(k) for k in range(len(lines))] == [b"ab", b"", b"abc"]
     assert lines.starting(b"abc").tolist() == [False, False, True]

@@ -44,7 +44,7 @@ def test_a_transform_is_that_of_its_quaternion(roll, pitch, yaw, x, y):
         ((0.0, 0.0, 0.0), (0.0, 0.0, 0.6, 0.9), "length 1.08 instead of 1"),
     ],
 )
-def test_what_is_no_transform_is_refused(shift, turn, said):
+def test_invalid_transforms_are_rejected(shift, turn, said):
     with pytest.raises(MessageError, match=said):
         rigid(np.array(shift), np.array(turn))
 
@@ -61,43 +61,43 @@ def test_beams_of_a_flattened_laser_point_where_they_do_in_space(x, y, yaw, down
     np.testing.assert_allclose(end, [px + math.cos(heading), py + math.sin(heading)], atol=1e-8)
 
 
-def test_tilt_is_told_upright_and_upside_down():
+def test_tilt_of_upright_and_upside_down_lasers():
     for roll in (0.0, math.pi):
         assert flattened(pose(rpy=(roll, math.radians(30), 1.0))).tilt == pytest.approx(
             math.radians(30)
         )
 
 
-def test_a_way_leads_through_any_chain_up_and_down():
+def test_a_chain_leads_up_and_down_the_tree():
     a, b, c, d = (pose((k, 0.5, 0.1), (0.1 * k, 0.2, 0.3 * k)) for k in range(1, 5))
     known = tree(("top", "base", a), ("top", "mast", b), ("mast", "arm", c), ("arm", "laser", d))
-    T, links = known.way("base", "laser")
+    T, links = known.chain("base", "laser")
     np.testing.assert_allclose(T, np.linalg.inv(a) @ b @ c @ d, atol=1e-12)
     assert [link.child for link in links] == ["base", "laser", "arm", "mast"]
-    back, _ = known.way("laser", "base")
+    back, _ = known.chain("laser", "base")
     np.testing.assert_allclose(T @ back, np.eye(4), atol=1e-12)
-    same, links = known.way("laser", "laser")
+    same, links = known.chain("laser", "laser")
     np.testing.assert_array_equal(same, np.eye(4))
     assert not links
 
 
-def test_missing_links_and_loops_are_told():
+def test_missing_links_and_loops_are_errors():
     T = np.eye(4)
     known = tree(("odom", "base", T), ("mast", "laser", T), ("a", "b", T), ("b", "a", T))
     with pytest.raises(MessageError, match="laser leads up to mast, base to odom"):
-        known.way("base", "laser")
+        known.chain("base", "laser")
     with pytest.raises(MessageError, match="loop: a -> b -> a"):
-        known.way("base", "a")
+        known.chain("base", "a")
 
 
 def test_a_loop_above_base_does_not_matter():
     T = np.eye(4)
     known = tree(("odom", "base", T), ("base", "laser", T), ("map", "odom", T), ("odom", "map", T))
-    assert len(known.way("base", "laser")[1]) == 1
+    assert len(known.chain("base", "laser")[1]) == 1
 
 
-def test_of_two_parents_the_first_counts():
+def test_the_first_of_two_parents_counts():
     known = tree(("base", "laser", pose((1.0, 0.0, 0.0))))
     assert not known.add(Link("mast", "laser", pose((2.0, 0.0, 0.0))))
     assert known.add(Link("base", "laser", pose((3.0, 0.0, 0.0))))
-    assert known.way("base", "laser")[0][0, 3] == 3.0
+    assert known.chain("base", "laser")[0][0, 3] == 3.0

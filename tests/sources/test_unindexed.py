@@ -99,7 +99,7 @@ def test_the_open_chunk_of_a_recorder_is_read(tmp_path: Path) -> None:
     assert len(found) == 119
 
 
-def test_nothing_whole_is_refused_or_empty(tmp_path: Path) -> None:
+def test_a_bag_without_complete_chunks_is_rejected_or_empty(tmp_path: Path) -> None:
     path = tmp_path / "log.bag"
     data = bag(path)
     path.write_bytes(data[:30])

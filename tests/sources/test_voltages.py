@@ -30,7 +30,7 @@ def log(tmp_path_factory):
     return path
 
 
-def test_they_are_those_of_the_angles():
+def test_voltages_match_the_angles():
     robot = load_robot(settings=["encoders.voltages=true", "lidar=none", "imu=none"])
     told = list(simulate(load_world("room"), robot, 3))
     angles = np.array([(m.left, m.right) for m in told if isinstance(m, WheelAngles)])
@@ -51,7 +51,7 @@ def test_dead_reckoning_is_that_of_the_angles(log):
     np.testing.assert_allclose(ways[1], ways[0], atol=1e-6)
 
 
-def test_nobody_takes_a_vector_for_wheels_unasked(log):
+def test_a_vector_topic_is_not_used_for_wheels_by_default(log):
     with recognise(log)(path=log) as source:
         used = {stream.name for stream in source.streams() if stream.used}
     assert "/encoders/voltage" not in used

@@ -10,14 +10,13 @@ from impslam.cli.app import main
 
 __all__ = ["main"]
 
-# Commands are imported when they are called, and numpy with them, after this. The matrices of a scan
-# are small, so threads cost more than they give, and sums whose order depends on the number of cores
-# would make two machines differ in the last bits.
-# OMP_NUM_THREADS, where it is set, is meant for all of them.
+# Set the thread counts before any command imports numpy. The matrices are too small to gain from
+# threads, and a summation order that depends on the number of cores would make results differ between
+# machines in the last bits. OMP_NUM_THREADS, if set, applies to all libraries.
 _threads = os.environ.get("OMP_NUM_THREADS", "1")
 for _library in ("OPENBLAS", "MKL", "OMP"):
     os.environ.setdefault(f"{_library}_NUM_THREADS", _threads)
 
-# Nothing that is imported is garbage: looking for some took a fifth of a short run, half of it at exit.
+# Imported modules are never garbage; collecting took a fifth of a short run, half of it at exit.
 gc.set_threshold(1_000_000, 20, 20)
 atexit.register(gc.freeze)

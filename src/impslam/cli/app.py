@@ -1,4 +1,4 @@
-"""The commands by name, and how a failure ends: one line, and an exit code that says what it was."""
+"""The command line: its commands, and how failures map to one-line messages and exit codes."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from collections.abc import Callable, Sequence
 from cyclopts import App, CycloptsError
 
 import impslam
-from impslam.cli import pipes, waiting
-from impslam.cli.console import configure, described
+from impslam.cli import pipes, startup_notice
+from impslam.cli.console import configure_logging, help_text
 from impslam.errors import ImpError, Interrupted, QuitError
 
 OK, UNEXPECTED, UNUSABLE, INTERRUPTED = 0, 1, 2, 130
@@ -19,12 +19,12 @@ OK, UNEXPECTED, UNUSABLE, INTERRUPTED = 0, 1, 2, 130
 COMMANDS: dict[str, tuple[str, str, tuple[str, ...]]] = {
     "demo": (
         "demo:demo",
-        "Simulate the arena of the thesis, map it, and score the map.",
+        "Simulate the arena from the thesis, map it, and score the map.",
         ("", "--seed 3 -o demo", "-c thesis-both"),
     ),
     "run": (
         "run:run",
-        "Map a log: write its path, landmarks, grid and report into a folder.",
+        "Map a log and write the path, landmarks, grid and report to a folder.",
         (
             "monday.mcap -o monday",
             "drive.bag -c myrobot.toml --topic scan=/front/scan",
@@ -33,22 +33,22 @@ COMMANDS: dict[str, tuple[str, str, tuple[str, ...]]] = {
     ),
     "simulate": (
         "simulate:simulate",
-        "Simulate a drive in a world, and write its log and truth.",
+        "Simulate a drive through a world and write its log and ground truth.",
         ("office -o office.mcap", "hall.toml -o hall.mcap --seed 1 --set lidar.range_max=10"),
     ),
     "evaluate": (
         "evaluate:evaluate",
-        "Score runs against the truth or measured relations.",
+        "Score runs against ground truth or measured relations.",
         ("first second -o compare.png", "first --truth truth.tum --json first.json"),
     ),
     "sweep": (
         "sweep:sweep",
-        "Run logs x configs x settings x seeds, and tabulate the errors.",
+        "Run all combinations of logs, configs, settings and seeds, and tabulate the errors.",
         ("monday.log tuesday.log -c default -c mine.toml -o sweep", "arena --seeds 20 -o arena"),
     ),
     "tune": (
         "tune:tune",
-        "Find noise and gates by many runs, and write a config.",
+        "Tune noise and gates over many runs and write a config.",
         (
             "monday.log -c mine.toml --score likelihood -o tune",
             "monday.log --holdout tuesday.log --search association.gate=0.9,0.99,0.999",
@@ -56,17 +56,17 @@ COMMANDS: dict[str, tuple[str, str, tuple[str, ...]]] = {
     ),
     "track": (
         "track:track",
-        "Find the robot's true path in the video of an overhead camera.",
+        "Extract the robot's true path from an overhead camera's video.",
         ("overhead.mp4 -o truth.tum", "overhead.mp4 --setup camera.toml -o truth.tum"),
     ),
     "reproduce": (
         "reproduce:reproduce",
-        "Run the thesis's experiments: its tables and figures.",
+        "Reproduce the experiments of the thesis, with tables and figures.",
         ("points --seeds 1", "corridor --full -o corridor"),
     ),
     "robot": (
         "robot:app",
-        "Drive, record and map from a page that the robot serves.",
+        "Serve a web page to drive the robot, record and map.",
         ("--virtual", "-c robot.toml --record --map"),
     ),
     "map": (
@@ -76,110 +76,108 @@ COMMANDS: dict[str, tuple[str, str, tuple[str, ...]]] = {
     ),
     "inspect": (
         "inspect:inspect",
-        "Print what is in a log, and what is wrong with it.",
+        "Print the contents of a log and any problems with it.",
         ("drive.mcap", "drive.mcap -c myrobot.toml"),
     ),
     "calibrate": (
         "calibrate:calibrate",
-        "Find wheels, laser pose, latency and noise of a robot from its logs.",
+        "Calibrate a robot's wheels, lidar pose, latency and noise from its logs.",
         ("drive.mcap -o mine.toml", "one.bag two.bag -c myrobot.toml --keep track -o mine.toml"),
     ),
     "list": (
         "list:list_components",
-        "Print the components of each role and their parameters.",
+        "List the components of each role and their parameters.",
         ("presets", "filter"),
     ),
     "config": (
         "config:config",
-        "Print every parameter of a preset or file, as TOML.",
+        "Print all parameters of a preset or config file as TOML.",
         ("imp", "myrobot.toml --set filter.kind=ekf"),
     ),
     "--install-completion": (
         "completion:install_completion",
-        "Install the completion of commands and options for your shell.",
+        "Install completion of commands and options for your shell.",
         ("", "--shell zsh"),
     ),
 }
-"""Where each command is, imported when it is called, so that `imp --help` need not wait; what it does;
-and examples."""
+"""Each command's module and function (imported only when called, so that `imp --help` is quick), its
+summary, and examples of its arguments."""
 
 
 def make_app() -> App:
-    """Return the command line."""
+    """Return the command-line application."""
     app = App(
         name="imp",
-        help=described(
-            "SLAM for small wheeled robots with a 2D lidar: a log in, a path and a map out.",
+        help=help_text(
+            "2D lidar SLAM for small wheeled robots: turn a log into a path and a map.",
             "",
             "demo",
             "run mylog.mcap -o office",
             "run --help",
         ),
-        version=lambda: impslam.__version__,  # 25 ms, for --version alone
+        version=lambda: impslam.__version__,  # reading it takes 25 ms, so only for --version
     )
-    for number, (name, (place, sentence, examples)) in enumerate(COMMANDS.items()):
-        shown = described(sentence, name, *examples)
-        app.command(f"impslam.cli.{place}", name=name, help=shown, sort_key=number)
+    for number, (name, (function, summary, examples)) in enumerate(COMMANDS.items()):
+        text = help_text(summary, name, *examples)
+        app.command(f"impslam.cli.{function}", name=name, help=text, sort_key=number)
     return app
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit code.
 
-    0: done; 1: a fault of the program; 2: input that cannot be used; 130: interrupted; 143:
-    terminated; 129: the terminal was closed.
+    0: success; 1: an internal error; 2: unusable input; 130: interrupted; 143: terminated; 129: the
+    terminal was closed.
     """
     if arguments is None:
-        pipes.outlive_readers()
+        pipes.ignore_broken_pipes()
     words = list(sys.argv[1:] if arguments is None else arguments)
     debug = "--debug" in words
     try:
-        _check(words)
-        _call(words)
+        _check_encoding(words)
+        _run_command(words)
         sys.stdout.flush()
     except KeyboardInterrupt as error:
         code = error.code if isinstance(error, Interrupted) else INTERRUPTED
-        said = str(error) or "interrupted; what is written so far is valid"
-        return _end(code, error, said, debug)
+        message = str(error) or "interrupted; the files written so far are valid"
+        return _fail(code, error, message, debug)
     except QuitError as error:
-        return _end(INTERRUPTED, error, str(error), debug)
+        return _fail(INTERRUPTED, error, str(error), debug)
     except (ImpError, CycloptsError) as error:
-        return _end(UNUSABLE, error, f"error: {error}", debug)
+        return _fail(UNUSABLE, error, f"error: {error}", debug)
     except OSError as error:
-        where = f"{error.filename}: " if error.filename else ""
-        return _end(
-            UNUSABLE, error, f"error: {where}{error.strerror or error}; check the path", debug
+        path = f"{error.filename}: " if error.filename else ""
+        return _fail(
+            UNUSABLE, error, f"error: {path}{error.strerror or error}; check the path", debug
         )
-    except Exception as error:  # whatever else happens is ours, and must not end in a wall of text
-        what = f"{type(error).__name__}: {error}"
-        return _end(
-            UNEXPECTED, error, f"error: {what}; run again with --debug and report it", debug
-        )
+    except Exception as error:  # a bug in this program; users get one line, not a traceback
+        message = f"error: {type(error).__name__}: {error}; run again with --debug and report it"
+        return _fail(UNEXPECTED, error, message, debug)
     return OK
 
 
-def _check(words: list[str]) -> None:
-    """Refuse names that cannot be written down: they stand in reports and summaries."""
+def _check_encoding(words: list[str]) -> None:
+    """Reject arguments that are not valid UTF-8: reports and summaries could not contain them."""
     for word in words:
-        if not word.isascii() and "\\udc" in (said := ascii(word)):
-            raise ImpError(f"{said[:100]}: is not UTF-8; rename it")
+        if not word.isascii() and "\\udc" in (escaped := ascii(word)):
+            raise ImpError(f"{escaped[:100]}: is not UTF-8; rename it")
 
 
-def _call(words: list[str]) -> None:
+def _run_command(words: list[str]) -> None:
     command, bound, _ = make_app().parse_args(words, exit_on_error=False, print_error=False)
-    configure(bound.arguments.get("common"))
+    configure_logging(bound.arguments.get("common"))
     run: Callable[..., object] = command
-    waiting.begin(words)
+    startup_notice.begin(words)
     try:
         run(*bound.args, **bound.kwargs)
     finally:
-        waiting.end()
+        startup_notice.end()
 
 
-def _end(code: int, error: BaseException, message: str, debug: bool) -> int:
-    """Say on stderr, in one line, why the command ends and what it leaves."""
+def _fail(code: int, error: BaseException, message: str, debug: bool) -> int:
+    """Print the message and the error's notes on stderr, as one line; return the exit code."""
     if debug:
         traceback.print_exception(error)
-    said = "; ".join([message, *getattr(error, "__notes__", ())])
-    sys.stderr.write(f"imp: {' '.join(said.split())}\n")
+    text = "; ".join([message, *getattr(error, "__notes__", ())])
+    sys.stderr.write(f"imp: {' '.join(text.split())}\n")
     return code

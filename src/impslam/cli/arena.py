@@ -1,4 +1,4 @@
-"""`imp demo`: simulate the arena of the thesis, map it, and print the map next to the truth."""
+"""`imp demo`: simulate the arena of the thesis, map it, and print the map beside the truth."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ from impslam.simulation.world import load_world
 from impslam.types import Array, Landmark, TrueLandmark
 
 WORLD = "arena"
-OWN = Path(f"{WORLD}.mcap")
-LOG = frozenset(map(str, (OWN, truth_path(OWN), landmarks_path(OWN))))
-"""What is recorded before it is mapped."""
-SHOWN = 0.5  # s; shorter compile times are not printed
+LOG = Path(f"{WORLD}.mcap")
+LOG_FILES = frozenset(map(str, (LOG, truth_path(LOG), landmarks_path(LOG))))
+"""Files of the simulated log."""
+MIN_COMPILE_TIME = 0.5  # s; shorter times are not printed
 
 
 def map_arena(
@@ -42,28 +42,29 @@ def map_arena(
     force: bool,
     quiet: bool,
 ) -> None:
-    """Simulate the arena, map it, and print the map next to the truth."""
+    """Simulate the arena, map it, and print the map beside the truth."""
     clock, world, end = Clock(), load_world(WORLD), EndOfRun()
     start = list(map(float, world.robot.start))
-    with run_folder(output, WORLD, force=force, also=LOG) as folder:
-        log = folder / OWN
-        with clock("simulate the arena"), display(quiet) as shown:
-            scans = write_log(world, log, seed, shown)
+    with run_folder(output, WORLD, force=force, also=LOG_FILES) as folder:
+        log = folder / LOG
+        with clock("simulate the arena"), display(quiet) as progress:
+            scans = write_log(world, log, seed, progress)
         if not quiet:
-            console.say(f"recorded {scans} scans, wheel encoders and gyro in {OWN}; mapping ...")
+            console.echo(f"recorded {scans} scans, wheel encoders and gyro to {LOG}; mapping ...")
         with clock("map and report"):
             chosen, source = open_log(log, config, [f"start={start}", f"seed={seed}", *settings])
-            known = execute(chosen, source, folder, quiet, more=[end], known=world.landmarks())
+            true = world.landmarks()
+            known = execute(chosen, source, folder, quiet, more=[end], true_landmarks=true)
     folder = output or folder
     if not quiet:
         _show_landmarks(world.landmarks(), known)
         _show_end(end)
         _show_times(clock, end.outcome)
-        console.say(f"report: {folder / 'report.html'}")
+        console.echo(f"report: {folder / 'report.html'}")
 
 
 class Clock:
-    """Seconds per part of the demo, with the time that compiling takes out of each."""
+    """Measures the seconds of each part of the demo, and separately the time spent compiling."""
 
     def __init__(self) -> None:
         self.parts: dict[str, float] = {}
@@ -83,7 +84,7 @@ class Clock:
 
 
 def _show_landmarks(truth: list[TrueLandmark], known: Map) -> None:
-    """Print every true landmark beside the map's; of corners, which walls imply, those found."""
+    """Print every true landmark beside its estimate; corners, implied by walls, only if found."""
     score = score_landmarks(known.landmarks, [*truth, *corners(truth)])
     found = {error.name: error for error in score.found}
     marks = {mark.id: mark for mark in known.landmarks}
@@ -92,19 +93,21 @@ def _show_landmarks(truth: list[TrueLandmark], known: Map) -> None:
         estimate, errors = ("missed", ""), ("-", "")
         if true.name in found:
             error = found[true.name]
-            estimate = _place(marks[error.id])
+            estimate = _position(marks[error.id])
             turn = "" if true.end_points is None else f"{math.degrees(error.angle):.2f}"
             errors = f"{100 * error.distance:.1f}", turn
-        rows.append((true.name, *_place(true), *estimate, *errors))
+        rows.append((true.name, *_position(true), *estimate, *errors))
     header = ("landmark", "true", "", "estimated", "", "error, cm", "deg")
     console.show_table(header, rows, numbers=6)
     for number in score.false:
-        console.say(f"not in the arena: {marks[number].kind} {' '.join(_place(marks[number]))}")
+        console.echo(f"not in the arena: {marks[number].kind} {' '.join(_position(marks[number]))}")
     for number in score.doubles:
-        console.say(f"duplicate in the map: {marks[number].kind} {' '.join(_place(marks[number]))}")
+        console.echo(
+            f"duplicate in the map: {marks[number].kind} {' '.join(_position(marks[number]))}"
+        )
 
 
-def _place(landmark: Landmark | TrueLandmark) -> tuple[str, str]:
+def _position(landmark: Landmark | TrueLandmark) -> tuple[str, str]:
     """Return x and y of a point, or distance and direction of a wall from the origin."""
     values = landmark.parameters
     if landmark.end_points is not None:
@@ -113,6 +116,7 @@ def _place(landmark: Landmark | TrueLandmark) -> tuple[str, str]:
 
 
 def _show_end(end: EndOfRun) -> None:
+    """Print the true last pose beside the estimated one and that of odometry."""
     if end.true is None or end.pose is None or end.odometry is None:
         return
     rows = [("true", *_coordinates(end.true), "")]
@@ -128,11 +132,11 @@ def _coordinates(pose: Array) -> tuple[str, str, str]:
 
 
 def _show_times(clock: Clock, outcome: Outcome | None) -> None:
-    """Print the time of each part."""
+    """Print the time of each part and the median time of each stage."""
     parts = [f"{name} {seconds:.1f} s" for name, seconds in clock.parts.items()]
-    if clock.compiling > SHOWN:
+    if clock.compiling > MIN_COMPILE_TIME:
         parts.append(f"compile {clock.compiling:.1f} s (first run only)")
-    console.say("time: " + ", ".join(parts))
+    console.echo("time: " + ", ".join(parts))
     if outcome is not None:
         stages = {name: 1000 * float(np.median(times)) for name, times in outcome.stages.items()}
-        console.say("median: " + ", ".join(f"{name} {ms:.2f} ms" for name, ms in stages.items()))
+        console.echo("median: " + ", ".join(f"{name} {ms:.2f} ms" for name, ms in stages.items()))

@@ -1,4 +1,4 @@
-"""`imp calibrate`: wheels, laser pose and latency of a robot, from logs in which it turns."""
+"""`imp calibrate`: wheels, lidar pose and latency of a robot, from logs in which it turns."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 from cyclopts import Parameter
 
 from impslam.cli import console
-from impslam.cli.console import Base, Columns, Common, Output, Settings, Topics
+from impslam.cli.console import Columns, Common, ConfigName, Output, Settings, Topics
 from impslam.cli.progress import display
 from impslam.errors import ConfigError
 
-Written: TypeAlias = "tuple[Config, dict[str, Any], list[str]]"
-"""The config that a calibration began with, what is laid over it, and lines that say how sure it is."""
+Result: TypeAlias = "tuple[Config, dict[str, Any], list[str]]"
+"""The initial config, the calibrated values to merge into it, and comments on their uncertainty."""
 
 if TYPE_CHECKING:
     from impslam.calibration.calibrate import Calibration
     from impslam.calibration.residuals import Drive
     from impslam.config import Config
 
-SLIPS = 0.9
-"""Share of the motions that fit at least where wheels hardly slip."""
+MIN_FITTING_SHARE = 0.9
+"""Share of motions that fit at least if the wheels hardly slip."""
 ADVICE = {
     "x": "drive turns to both sides",
     "y": "drive turns to both sides",
@@ -34,12 +34,12 @@ ADVICE = {
     "range_offset": "pass walls at an angle",
     "range_scale": "not separable from the robot's lengths: --keep wheel_radius or --keep track",
 }
-"""How to drive so that a parameter becomes observable."""
+"""How to make each parameter observable."""
 
 
 def calibrate(  # noqa: PLR0913  # each is an option that a user may give
     *logs: Path,
-    config: Base = None,
+    config: ConfigName = None,
     settings: Settings = (),
     topics: Topics = (),
     columns: Columns = (),
@@ -49,47 +49,47 @@ def calibrate(  # noqa: PLR0913  # each is an option that a user may give
     json: Path | None = None,
     common: Common | None = None,
 ) -> None:
-    """Find wheels, laser pose, latency and noise of a robot from logs in which it turns.
+    """Calibrate a robot's wheels, lidar pose, latency and noise from logs in which it turns.
 
-    The motion of the lidar, from its scans alone, is compared with odometry. Each parameter comes with
-    its standard deviation. A parameter that the drives do not make observable stays as it is.
+    The lidar's motion, estimated from its scans alone, is compared with odometry. Each parameter is
+    printed with its standard deviation. Parameters that the drives do not make observable are kept.
 
     Parameters
     ----------
     logs
-        Logs of one robot, whose wheels and mounts are the same in all of them.
+        Logs of one robot with the same wheels and mounts.
     keep
-        A parameter that stays as it is: --keep wheel_radius. The scale of the ranges is found if a
+        A parameter to leave unchanged: --keep wheel_radius. The range scale is only calibrated if a
         length of the robot is kept.
     square
-        UMBmark: each log is a square with sides of so many m that ends where it began, some to the
-        left and some to the right. Only wheels and track are found.
+        Use the UMBmark method: each log is a square with this side length (m) that ends where it
+        began, some turning left and some right. Only wheels and track are calibrated.
     output
-        Write the config to run with (TOML), and the picture of before and after (PNG) beside it.
+        TOML file for the calibrated config; a PNG picture of before and after is written beside it.
     json
-        Write all numbers: a JSON file.
+        JSON file to write all numbers to.
     """
-    from impslam.cli.job import settings_of
+    from impslam.cli.job import all_settings
 
     if not logs:
         raise ConfigError("no log given; name one or more logs of one robot")
     if output is not None and output.suffix.lower() != ".toml":
-        raise ConfigError(f"{output}: is written as TOML; give -o NAME.toml")
-    every = settings_of(settings, topics, columns)
+        raise ConfigError(f"{output}: the config is written as TOML; give -o NAME.toml")
+    changes = all_settings(settings, topics, columns)
     quiet = common is not None and common.quiet
     if square is not None:
         from impslam.cli.umbmark import show_squares
 
-        above = show_squares(logs, config, every, square, quiet)
+        result = show_squares(logs, config, changes, square, quiet)
     else:
-        above = _solved(logs, config, every, keep, output, json, quiet)
+        result = _calibrate(logs, config, changes, keep, output, json, quiet)
     if output is not None:
-        _write(above, logs, config, settings, output)
+        _write(result, logs, config, settings, output)
         if not quiet:
-            console.say(str(output))
+            console.echo(str(output))
 
 
-def _solved(  # see `calibrate`
+def _calibrate(  # see `calibrate`
     logs: Sequence[Path],
     config: str | None,
     settings: Sequence[str],
@@ -97,8 +97,8 @@ def _solved(  # see `calibrate`
     output: Path | None,
     json: Path | None,
     quiet: bool,
-) -> Written:
-    """Calibrate by all motions; show it, draw it, and return what is to be written."""
+) -> Result:
+    """Calibrate with all motions, show and draw the result, and return it."""
     from impslam.calibration.calibrate import calibrate as solve
     from impslam.calibration.calibrate import config_tables
 
@@ -114,49 +114,49 @@ def _solved(  # see `calibrate`
         output.parent.mkdir(parents=True, exist_ok=True)
         names = ", ".join(log.name for log in logs)
         write_picture(found, output.with_suffix(".png"), f"Calibration from {names}")
-    told = [
+    comments = [
         f"{one.name}: +- {one.sigma:.2g} {one.unit}" for one in found.parameters if one.observable
     ]
-    return chosen, config_tables(found), told
+    return chosen, config_tables(found), comments
 
 
 def _read(
     logs: Sequence[Path], base: str | None, settings: Sequence[str], quiet: bool
 ) -> tuple[Config, list[Drive]]:
-    """Return the config, as it fits the first log, and the drives of all."""
+    """Return the config that fits the first log, and the drives of all logs."""
     from impslam.calibration.calibrate import extract_drives
     from impslam.calibration.recording import record
     from impslam.open_log import open_log
 
     configs, drives = list[Any](), list[Any]()
-    with display(quiet) as shown:
+    with display(quiet) as progress:
         for log in logs:
             config, source = open_log(log, base, settings)
-            task = shown and shown.add_task(log.name, total=source.total)
+            task = progress and progress.add_task(log.name, total=source.total)
 
             def tick(source: Any = source, task: Any = task) -> None:
-                if shown:
-                    shown.update(task, completed=source.position)
+                if progress:
+                    progress.update(task, completed=source.position)
 
             drives += extract_drives(config, record(config, source, tick), str(log))
             configs.append(config)
     names = {drive.model.names for drive in drives}
     if len(names) > 1:
         raise ConfigError(
-            f"{logs[0]} and others have other kinds of odometry; calibrate one at a time"
+            f"{logs[0]} and others have different kinds of odometry; calibrate each kind separately"
         )
     return configs[0], drives
 
 
 def _show(found: Calibration, keep: Sequence[str]) -> None:
-    """Print parameters and noise."""
+    """Print the parameters and the noise."""
     motions = sum(len(kept) for kept in found.solution.kept)
     fit = sum(int(kept.sum()) for kept in found.solution.kept)
-    console.say(f"{fit} of {motions} motions of the lidar fit")
-    if fit < SLIPS * motions:
-        console.say(
-            "the others do not: wheels slip, or stamps jitter; what you have measured is better kept, "
-            "e.g. --keep x --keep y --keep yaw --keep latency"
+    console.echo(f"{fit} of {motions} lidar motions fit")
+    if fit < MIN_FITTING_SHARE * motions:
+        console.echo(
+            "the others do not: wheels slip, or stamps jitter; keep the parameters that you have "
+            "measured, e.g. --keep x --keep y --keep yaw --keep latency"
         )
     header = ("parameter", "unit", "observable", "config", "found", "std")
     console.show_table(header, list(_rows(found, keep)), numbers=3)
@@ -165,7 +165,7 @@ def _show(found: Calibration, keep: Sequence[str]) -> None:
     for gyro in {drive.gyro for drive in found.drives if drive.gyro is not None}:
         bias = " +- ".join(_rounded(gyro.bias_sigma, gyro.bias, gyro.bias_sigma))
         scale = " +- ".join(_rounded(gyro.scale_sigma, gyro.scale, gyro.scale_sigma))
-        console.say(f"gyro: bias {bias} rad/s, true over measured rate {scale}")
+        console.echo(f"gyro: bias {bias} rad/s, true / measured rate {scale}")
 
 
 def _rows(found: Calibration, keep: Sequence[str]) -> Iterator[tuple[str, ...]]:
@@ -186,7 +186,7 @@ def _rows(found: Calibration, keep: Sequence[str]) -> Iterator[tuple[str, ...]]:
 
 
 def _rounded(sigma: float, *values: float) -> tuple[str, ...]:
-    """Return values with two digits of their standard deviation."""
+    """Return values rounded to two digits of their standard deviation."""
     import math
 
     digits = 6 if not 0.0 < sigma < math.inf else max(0, 1 - math.floor(math.log10(sigma)))
@@ -194,7 +194,7 @@ def _rounded(sigma: float, *values: float) -> tuple[str, ...]:
 
 
 def _base(log: Path, config: str | None) -> str | None:
-    """Return what the written config is based on; None if it must be whole."""
+    """Return the base of the written config; None if it must contain all parameters."""
     from impslam.config import presets
     from impslam.sources.base import recognise
 
@@ -205,24 +205,24 @@ def _base(log: Path, config: str | None) -> str | None:
 
 
 def _write(
-    above: Written, logs: Sequence[Path], base: str | None, settings: Sequence[str], output: Path
+    result: Result, logs: Sequence[Path], base: str | None, settings: Sequence[str], output: Path
 ) -> None:
-    """Write the config, on top of the one that it began with."""
+    """Write the calibrated config, based on the initial one."""
     import tomli_w
 
     from impslam.config import load, merge, parse_setting
 
-    config, found, told = above
+    config, found, comments = result
     name = _base(logs[0], base)
-    below: dict[str, Any] = config.resolved() if name is None else {"base": name}
+    initial: dict[str, Any] = config.resolved() if name is None else {"base": name}
     for setting in settings:
-        below = merge(below, parse_setting(setting))
-    lines = "".join(f"# {line}\n" for line in told)
+        initial = merge(initial, parse_setting(setting))
+    lines = "".join(f"# {line}\n" for line in comments)
     names = ", ".join(log.name for log in logs)
     output.parent.mkdir(parents=True, exist_ok=True)
-    text = tomli_w.dumps(merge(below, found))
+    text = tomli_w.dumps(merge(initial, found))
     output.write_text(f"# Calibrated from {names}\n{lines}{text}", "utf-8")
-    load(output)
+    load(output)  # raises if the config is not valid
 
 
 def _numbers(found: Calibration) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Runs side by side: a table for each kind of score."""
+"""Tables that compare runs, one for each kind of score."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from impslam.evaluation.scores import Consistency, KindScore, PathScore
 from impslam.types import Array
 
 ALIGNED = {"fit": "aligned", "start": "at start", "none": "as given"}
-"""How the columns are called whose errors are taken after an alignment."""
+"""Name of the column of errors after alignment."""
 NOTES = {
-    "fit": "aligned: after the rigid motion that fits the path to the truth best",
-    "start": "at start: the first pose laid on the true one",
-    "none": "as given: the truth is taken to be in map",
+    "fit": "aligned: after the rigid motion that best fits the path to the truth",
+    "start": "at start: with the first pose aligned to the true one",
+    "none": "as given: assuming that the truth is in the map frame",
 }
 
 
 def short_names(paths: Sequence[Path]) -> list[str]:
-    """Return what differs between paths: their parts without those that all begin or end with."""
+    """Return the paths without the leading and trailing parts that all have in common."""
     parts = [list(path.parts) for path in paths]
     while len(paths) > 1 and len({tuple(p[:1]) for p in parts}) == 1 and min(map(len, parts)) > 1:
         parts = [p[1:] for p in parts]
@@ -39,31 +39,32 @@ def short_names(paths: Sequence[Path]) -> list[str]:
 
 
 def show_paths(scores: Mapping[str, PathScore], align_by: Alignment, delta: float) -> None:
-    """Print how far paths are from the truth."""
-    name, stretch = ALIGNED[align_by], f"RPE/{delta:g} m"
+    """Print the errors of paths against the truth."""
+    name, rpe = ALIGNED[align_by], f"RPE/{delta:g} m"
     header = ["run", "poses", "ATE, m", f"{name}, m", "max, m", "heading, deg"]
-    header += [f"{stretch}, m", "deg", "NEES", "95 %", "within"]
+    header += [f"{rpe}, m", "deg", "NEES", "95 %", "within"]
     show(header, {(run,): _path_cells(score) for run, score in scores.items()})
     notes = [f"ATE, RPE, heading: root mean squares; {NOTES[align_by]}"]
-    sure = [score.consistency for score in scores.values()]
-    if any(sure):
-        notes.append(_consistency_note([c for c in sure if c]))
-    if not all(sure):
+    consistencies = [score.consistency for score in scores.values()]
+    if any(consistencies):
+        notes.append(_consistency_note([c for c in consistencies if c]))
+    if not all(consistencies):
         notes.append(
             "NEES -: needs covariances (a run folder) and a true heading within 1 s of the start"
         )
     if not all(score.heading.count for score in scores.values()):
         notes.append("heading, RPE -: the truth has positions only")
     for note in notes:
-        console.say(note)
+        console.echo(note)
 
 
 def _consistency_note(known: Sequence[Consistency]) -> str:
     dofs = " or ".join(str(dof) for dof in sorted({c.dof for c in known}))
-    what = "" if min(c.dof for c in known) == 3 else " (2: of the position alone)"
+    two = "" if min(c.dof for c in known) == 3 else " (2: position only)"
     return (
-        f"NEES: mean over poses from the true start, ideal {dofs}{what}; 95 %: where it lies if "
-        "consistent, by chi-square and the correlation of steps; within: share in the interval of one pose"
+        f"NEES: mean over poses from the true start, ideal {dofs}{two}; 95 %: its interval if "
+        "consistent, from chi-square and the correlation of steps; within: share of poses in the "
+        "interval of a single pose"
     )
 
 
@@ -77,7 +78,7 @@ def _path_cells(score: PathScore) -> list[Cell]:
         _angle(score.heading.rmse, 2),
         _length(metres.rmse if metres else math.nan),
         _angle(radians.rmse if radians else math.nan, 3),
-        *_sure(score.consistency),
+        *_consistency_cells(score.consistency),
     ]
 
 
@@ -93,24 +94,24 @@ def _angle(value: float, digits: int) -> Cell:
     return _number(math.degrees(value), digits)
 
 
-def _sure(sure: Consistency | None) -> tuple[Cell, Cell, Cell]:
-    if sure is None:
+def _consistency_cells(found: Consistency | None) -> tuple[Cell, Cell, Cell]:
+    if found is None:
         return Cell("-"), Cell("-"), Cell("-")
-    dof = "" if sure.dof == 3 else " (2)"
-    mean = Cell(f"{sure.mean:.2f}{dof}", abs(math.log(max(sure.mean, 1e-300) / sure.dof)))
-    interval = Cell(f"{sure.low:.2f} to {sure.high:.2f}")
-    return mean, interval, Cell(f"{100.0 * sure.within:.0f} %", abs(sure.within - 0.95))
+    dof = "" if found.dof == 3 else " (2)"
+    mean = Cell(f"{found.mean:.2f}{dof}", abs(math.log(max(found.mean, 1e-300) / found.dof)))
+    interval = Cell(f"{found.low:.2f} to {found.high:.2f}")
+    return mean, interval, Cell(f"{100.0 * found.within:.0f} %", abs(found.within - 0.95))
 
 
 def show_landmarks(scores: Mapping[str, Sequence[KindScore]], gate: float, note: str) -> None:
-    """Print what became of the true landmarks of each kind."""
+    """Print how many true landmarks of each kind were matched, and their errors."""
     header = ["run", "kind", "true", "matched", "missing", "false", "double"]
     header += ["RMS, m", "max, m", "angle, deg", "NEES"]
     rows = {(run, s.kind): _kind_cells(s) for run, kinds in scores.items() for s in kinds}
     show(header, dict(sorted(rows.items(), key=lambda row: row[0][1])))
-    console.say(
-        f"matched within {gate:g} m, {note}; walls: across, at their middle; NEES: ideal 2, from the "
-        "true start"
+    console.echo(
+        f"matched within {gate:g} m, {note}; walls: distance across, at their midpoint; NEES: ideal 2, "
+        "from the true start"
     )
 
 
@@ -133,10 +134,10 @@ def show_innovations(found: Mapping[str, Innovations]) -> None:
     """Print how consistent the innovations of runs are."""
     header = ("run", "keyframes", "matches", "NIS", "95 %", "within")
     show(header, {(run,): _innovation_cells(some) for run, some in found.items()})
-    console.say(
-        "NIS: innovations squared per degree of freedom, ideal 1, of keyframes with matches; it needs no "
-        "truth; 95 %: where it lies if consistent, by chi-square; within: share of keyframes in their "
-        "own interval"
+    console.echo(
+        "NIS: normalised innovation squared per degree of freedom, ideal 1, over keyframes with matches; "
+        "needs no truth; 95 %: its interval if consistent, from chi-square; within: share of keyframes "
+        "in their own interval"
     )
 
 
@@ -151,7 +152,7 @@ def _innovation_cells(found: Innovations) -> list[Cell]:
 
 
 def show_relations(errors: Mapping[str, RelationErrors]) -> None:
-    """Print how well runs keep measured relations."""
+    """Print the errors of runs against measured relations."""
     header = ("run", "relations", "missing", "metres", "median", "degrees", "median")
     show(header, {(run,): _relation_cells(error) for run, error in errors.items()})
 
@@ -161,9 +162,9 @@ def show_quality(found: Mapping[str, Quality]) -> None:
     header = ["run", "disagreement, cm", "within", "between", "thickness"]
     header += ["contradicted", "doubled", "revisited"]
     show(header, {(run,): _quality_cells(q) for run, q in found.items()})
-    console.say(
-        "disagreement: how far scans of the same place are apart, mean of those within a pass and "
-        "between passes; it needs no truth, and sees no bend where no place was revisited"
+    console.echo(
+        "disagreement: distance between scans of the same surface, mean of those within a pass and "
+        "between passes; needs no truth, but cannot show a bent map if no place was revisited"
     )
 
 
@@ -194,6 +195,6 @@ def _relation_cells(errors: RelationErrors) -> list[Cell]:
 
 
 def _spread(errors: Array, digits: int) -> Cell:
-    """Return mean and standard deviation, as the suite's tables give them."""
+    """Return mean and standard deviation, as in the tables of the benchmarking suite."""
     mean = float(errors.mean())
     return Cell(f"{mean:.{digits}f} ± {errors.std():.{digits}f}", mean)

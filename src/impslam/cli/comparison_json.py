@@ -1,4 +1,4 @@
-"""The numbers of a comparison for other programs: all that the tables show, and more."""
+"""The numbers of a comparison as JSON, including some that the tables do not show."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from impslam.paths import written
 
 
 def write_json(path: Path, facts: Mapping[str, Any]) -> None:
-    """Write numbers as JSON; what is not known is null.
+    """Write numbers as JSON; unknown values are null.
 
     Raises
     ------
@@ -24,7 +24,7 @@ def write_json(path: Path, facts: Mapping[str, Any]) -> None:
         If the file cannot be written.
     """
     text = json.dumps(json_values(facts), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-    with written(path, "choose another", ConfigError):
+    with written(path, "choose another path", ConfigError):
         path.write_text(text, encoding="utf-8")
 
 

@@ -1,4 +1,4 @@
-"""`imp --install-completion`: let the shell complete commands and options."""
+"""`imp --install-completion`: shell completion of commands and options."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ Shell: TypeAlias = Literal["bash", "zsh", "fish", "powershell"]
 
 
 def install_completion(*, shell: Shell | None = None, common: Common | None = None) -> None:
-    """Install the completion of commands and options for your shell.
+    """Install completion of commands and options for your shell.
 
     Parameters
     ----------
     shell
-        The shell to install it for. Default: the one that is in use.
+        The shell to install it for. Default: the current one.
     """
     from cyclopts.completion.detect import ShellDetectionError
 
@@ -26,6 +26,6 @@ def install_completion(*, shell: Shell | None = None, common: Common | None = No
     try:
         script = make_app().install_completion(shell=shell)
     except ShellDetectionError:
-        raise ImpError("the shell in use is unknown; name it with --shell bash") from None
+        raise ImpError("cannot detect the current shell; name it, e.g. --shell bash") from None
     if common is None or not common.quiet:
-        console.say(f"{script}: written; open a new shell to use it")
+        console.echo(f"{script}: installed; open a new shell to use it")

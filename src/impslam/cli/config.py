@@ -1,4 +1,4 @@
-"""`imp config`: every parameter of a run with its value and unit."""
+"""`imp config`: print every parameter of a run with its value and unit."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ LIST = re.compile(r"\[\n((?:    .*,\n)*)\]$", re.MULTILINE)
 def config(
     preset: str = "default", /, *, settings: Settings = (), common: Common | None = None
 ) -> None:
-    """Print a preset or TOML file with every parameter in it; what is printed loads again.
+    """Print all parameters of a preset or TOML file, as a config that can be loaded.
 
     Parameters
     ----------
     preset
-        Name of a preset, or a TOML file.
+        A preset or a TOML file.
     """
     import tomli_w
 
@@ -32,22 +32,22 @@ def config(
 
     del common
     table = load(preset, settings).resolved()
-    console.say(with_units(tomli_w.dumps(table), dict(units(table))))
+    console.echo(with_units(tomli_w.dumps(table), dict(units(table))))
 
 
-def with_units(text: str, known: Mapping[str, str]) -> str:
+def with_units(text: str, units_by_name: Mapping[str, str]) -> str:
     """Return TOML with the unit of each value as a comment, and each list on one line."""
     lines, table = [], ""
     for line in LIST.sub(_on_one_line, text).splitlines():
         if header := HEADER.match(line):
             table = f"{header[1]}."
-        unit = known.get(table + line.partition(" = ")[0], "")
+        unit = units_by_name.get(table + line.partition(" = ")[0], "")
         lines.append(f"{line}  # {unit}" if unit else line)
     return "\n".join(lines)
 
 
-def _on_one_line(found: re.Match[str]) -> str:
-    return "[" + ", ".join(line.strip().rstrip(",") for line in found[1].splitlines()) + "]"
+def _on_one_line(match: re.Match[str]) -> str:
+    return "[" + ", ".join(line.strip().rstrip(",") for line in match[1].splitlines()) + "]"
 
 
 def units(table: Mapping[str, Any], path: tuple[str, ...] = ()) -> Iterator[tuple[str, str]]:
@@ -63,7 +63,7 @@ def units(table: Mapping[str, Any], path: tuple[str, ...] = ()) -> Iterator[tupl
 
 
 def _model(path: tuple[str, ...], table: Mapping[str, Any]) -> type[BaseModel] | None:
-    """Return what declares the parameters of the table at a path, if it is more than a part of one."""
+    """Return the model that declares the parameters of a table; None for a part of another one's table."""
     from impslam.component import find
     from impslam.config import Config
     from impslam.tracking.base import KeyframeGate

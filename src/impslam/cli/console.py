@@ -1,4 +1,4 @@
-"""What the commands share: options, logging, and tables on the terminal."""
+"""Options, logging and terminal output shared by the commands."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 from cyclopts import Parameter
 
-from impslam.cli import waiting
+from impslam.cli import startup_notice
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 WIDTH = 120
-"""Columns where there is no terminal to fit."""
+"""Columns of the output if it does not go to a terminal."""
 
 Flag: TypeAlias = Annotated[bool, Parameter(negative="", show_default=False)]
 Settings: TypeAlias = Annotated[
@@ -31,24 +31,24 @@ Settings: TypeAlias = Annotated[
         help="Override a parameter: --set filter.kind=ekf.",
     ),
 ]
-Base: TypeAlias = Annotated[
+ConfigName: TypeAlias = Annotated[
     str | None,
     Parameter(
         name=["--config", "-c"],
-        help="A preset (`imp list presets`) or a TOML file. Default: the preset that fits the log.",
+        help="A preset (see `imp list presets`) or a TOML file. Default: the preset that fits the log.",
     ),
 ]
 Jobs: TypeAlias = Annotated[
-    int | None, Parameter(name=["--jobs", "-j"], help="Processes. Default: all cores.")
+    int | None, Parameter(name=["--jobs", "-j"], help="Number of processes. Default: all cores.")
 ]
-Target: TypeAlias = Annotated[Path, Parameter(name=["--output", "-o"])]
+RequiredOutput: TypeAlias = Annotated[Path, Parameter(name=["--output", "-o"])]
 Output: TypeAlias = Annotated[Path | None, Parameter(name=["--output", "-o"])]
 Force: TypeAlias = Annotated[
     bool,
     Parameter(
         negative="",
         show_default=False,
-        help="Replace the run in the folder of -o, once the new one is complete.",
+        help="Replace an existing run in the -o folder once the new one is complete.",
     ),
 ]
 Topics: TypeAlias = Annotated[
@@ -57,7 +57,7 @@ Topics: TypeAlias = Annotated[
         name="--topic",
         negative="",
         show_default=False,
-        help="Use a topic for a role: --topic scan=/scan.",
+        help="Assign a topic to a role: --topic scan=/scan.",
     ),
 ]
 Columns: TypeAlias = Annotated[
@@ -66,25 +66,25 @@ Columns: TypeAlias = Annotated[
         name="--columns",
         negative="",
         show_default=False,
-        help="Name the columns of a CSV log: --columns stamp=t,ranges=r0:r359*0.001.",
+        help="Map the columns of a CSV log: --columns stamp=t,ranges=r0:r359*0.001.",
     ),
 ]
-Seed: TypeAlias = Annotated[int | None, Parameter(help="Seed of everything that is random.")]
+Seed: TypeAlias = Annotated[int | None, Parameter(help="Random seed.")]
 
 
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True)
 class Common:
-    """Options of every command.
+    """Options that every command takes.
 
     Parameters
     ----------
     quiet
         Print errors only.
     verbose
-        Print more while running.
+        Print more detail while running.
     debug
-        Print the traceback of an error.
+        Print debug messages, and the traceback of an error.
     """
 
     quiet: Flag = False
@@ -94,37 +94,37 @@ class Common:
     debug: Flag = False
 
 
-class LogLines(logging.Handler):
-    """One line on stderr for each entry of the log, like the errors, so that both can be searched.
+class LogLineHandler(logging.Handler):
+    """Writes each log record to stderr as one line, in the format of the error messages.
 
-    It writes to whatever `sys.stderr` is at the time: a progress bar takes its place and moves on.
+    `sys.stderr` is looked up for each record because a progress bar replaces it while it is shown.
     """
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Write an entry."""
-        waiting.end()
+        """Write a record."""
+        startup_notice.end()
         sys.stderr.write(f"imp: {record.levelname.lower()}: {record.getMessage()}\n")
 
 
-def configure(common: Common | None) -> None:
-    """Show the library's log on stderr, as much of it as was asked for."""
+def configure_logging(common: Common | None) -> None:
+    """Send the library's log to stderr at the level given by the common options."""
     common = common or Common()
     level = logging.INFO if common.verbose else logging.WARNING
     level = logging.DEBUG if common.debug else logging.ERROR if common.quiet else level
     log = logging.getLogger("impslam")
     log.setLevel(level)
     log.propagate = False
-    log.handlers[:] = [LogLines()]
+    log.handlers[:] = [LogLineHandler()]
 
 
-def described(sentence: str, command: str, *examples: str) -> str:
-    """Return the help of a command, with examples of the words after its name."""
-    lines = [f"- `{' '.join(f'imp {command} {words}'.split())}`" for words in examples]
-    return "\n".join([sentence, "", "For example:", "", *lines])
+def help_text(summary: str, command: str, *examples: str) -> str:
+    """Return the help of a command; each example holds the arguments after the command's name."""
+    lines = [f"- `{' '.join(f'imp {command} {arguments}'.split())}`" for arguments in examples]
+    return "\n".join([summary, "", "For example:", "", *lines])
 
 
 def stdout() -> Console:
-    """Return the console for results; text is taken literally."""
+    """Return the console for results, without markup."""
     return _console(sys.stdout.isatty(), stderr=False)
 
 
@@ -143,7 +143,7 @@ def _console(terminal: bool, stderr: bool) -> Console:
 def show_table(
     header: Sequence[str], rows: Iterable[Sequence[str]], title: str = "", numbers: int = 0
 ) -> None:
-    """Print a table; the last `numbers` columns are flush right."""
+    """Print a table with its last `numbers` columns right-aligned."""
     from rich import box
     from rich.table import Table
     from rich.text import Text
@@ -158,43 +158,43 @@ def show_table(
 
 
 def show_indented(table: Table, indent: int) -> None:
-    """Print a table some columns further right."""
+    """Print a table, indented by some columns."""
     from rich.padding import Padding
 
     _print(Padding(table, (0, 0, 0, indent)))
 
 
 def _print(table: Table | Padding) -> None:
-    """Print what rich lays out, without the blanks that it fills lines with."""
+    """Print a rich layout without its trailing blanks."""
     console = stdout()
     with console.capture() as text:
         console.print(table)
     for line in text.get().splitlines():
-        say(line.rstrip())
+        echo(line.rstrip())
 
 
 def show_facts(facts: Mapping[str, str]) -> None:
-    """Print names and values, one a line, values flush left."""
+    """Print names and values, one pair per line, in two left-aligned columns."""
     width = max(map(len, facts))
     for name, value in facts.items():
-        say(f"{name:<{width}}  {value}")
+        echo(f"{name:<{width}}  {value}")
 
 
-COPED_WITH = frozenset({"gap", "backward stamp", "repeated stamp", "odometry off"})
-"""Kinds of problems with a log that do a run no harm."""
+HARMLESS = frozenset({"gap", "backward stamp", "repeated stamp", "odometry off"})
+"""Kinds of problems with a log that do not harm a run."""
 
 
 def show_problem(kind: str, count: int, example: str) -> None:
-    """Print what was wrong with a log: how often, and the first time."""
-    say(f"{'note' if kind in COPED_WITH else 'problem'}: {count} x {kind}: {example}")
+    """Print a kind of problem with a log: its number of occurrences and the first of them."""
+    echo(f"{'note' if kind in HARMLESS else 'problem'}: {count} x {kind}: {example}")
 
 
 def show_finding(kind: str, text: str, *, harmful: bool) -> None:
-    """Print what a diagnosis found: a problem, or something that a run copes with."""
-    say(f"{'problem' if harmful else 'note'}: {kind}: {text}")
+    """Print a finding of the diagnosis, as a problem or as a note."""
+    echo(f"{'problem' if harmful else 'note'}: {kind}: {text}")
 
 
-def say(text: str = "") -> None:
-    """Print a line of a result, however long."""
-    waiting.end()
+def echo(text: str = "") -> None:
+    """Print a line of output; long lines are not wrapped."""
+    startup_notice.end()
     sys.stdout.write(text + "\n")

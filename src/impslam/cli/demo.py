@@ -1,15 +1,15 @@
-"""`imp demo`: the arena of the thesis simulated, mapped, and scored against the truth."""
+"""`imp demo`: simulate the arena of the thesis, map it, and score the map against the truth."""
 
 from __future__ import annotations
 
-from impslam.cli.console import Base, Common, Force, Output, Settings
+from impslam.cli.console import Common, ConfigName, Force, Output, Settings
 
 
 def demo(
     *,
     seed: int = 0,
     output: Output = None,
-    config: Base = None,
+    config: ConfigName = None,
     settings: Settings = (),
     force: Force = False,
     common: Common | None = None,
@@ -19,9 +19,9 @@ def demo(
     Parameters
     ----------
     seed
-        Seed of all noise.
+        Random seed.
     output
-        A new folder to write to. Default: runs/arena-DATE-TIME.
+        New folder for the results. Default: runs/arena-DATE-TIME.
     """
     from impslam.cli.arena import map_arena
 

@@ -1,4 +1,4 @@
-"""`imp evaluate`: how far runs are from a truth, or from measured relations, and how well scans agree."""
+"""`imp evaluate`: errors of runs against ground truth or relations, and the agreement of their scans."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from impslam.evaluation.options import GATE, Alignment
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True)
 class Against:
-    """What runs are compared with, and how.
+    """What to compare runs with, and how.
 
     Parameters
     ----------
     truth
-        The true path, as a TUM file. Default: the one in the run's folder.
+        TUM file of the true path. Default: the one in the run's folder.
     landmarks
-        The true landmarks, as a CSV file. Default: those in the run's folder.
+        CSV file of the true landmarks. Default: the one in the run's folder.
     relations
-        A relation file of the SLAM benchmarking suite.
+        Relation file of the SLAM benchmarking suite.
     align
-        Align the path with the truth by the best fit, at its start, or not at all.
+        Align the path with the truth by the best fit, at the start, or not at all.
     delta
-        Length over which the relative pose error is taken, m.
+        Distance over which the relative pose error is computed, m.
     gate
-        Largest distance of a landmark from the true one, m.
+        Maximum distance between a landmark and the true one that it matches, m.
     """
 
     truth: Path | None = None
@@ -52,23 +52,23 @@ def evaluate(
     json: Path | None = None,
     common: Common | None = None,
 ) -> None:
-    """Print the errors of runs against the truth or measured relations, and how well their scans agree.
+    """Print the errors of runs against ground truth or relations, and the agreement of their scans.
 
     Parameters
     ----------
     runs
-        Folders of runs, or trajectories as TUM files; one row of the table each.
+        Run folders, or trajectories as TUM files; each is a row of the table.
     output
-        Draw the comparison: a PNG file.
+        PNG file to draw the comparison to.
     json
-        Write all numbers: a JSON file.
+        JSON file to write all numbers to.
     """
     if not runs:
-        raise ConfigError("no run given; name the folder of a run, or a trajectory as TUM file")
+        raise ConfigError("no run given; name a run folder, or a trajectory as a TUM file")
     if not (0.0 < against.delta < math.inf and 0.0 < against.gate < math.inf):
         raise ConfigError("--delta and --gate are lengths in m, greater than 0")
     if output is not None and output.suffix.lower() != ".png":
-        raise ConfigError(f"{output}: is drawn as a PNG; give -o NAME.png")
+        raise ConfigError(f"{output}: pictures are written as PNG; give -o NAME.png")
     from impslam.cli.scoring import compare
 
     compare(runs, against, output, json, quiet=common is not None and common.quiet)

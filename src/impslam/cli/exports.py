@@ -1,4 +1,4 @@
-"""What `imp run` writes besides the run's folder: files for other programs."""
+"""Files for other programs that `imp run` can write beside the run's folder."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ if TYPE_CHECKING:
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True)
 class Exports:
-    """Options of a run that is written for other programs, too.
+    """Options that export a run to files for other programs.
 
     Parameters
     ----------
     mcap
-        Write the result for Foxglove and RViz: /map, /path, /landmarks, /tf, /health in one MCAP file.
+        Export to an MCAP file for Foxglove and RViz, with /map, /path, /landmarks, /tf and /health.
     rerun
-        Write the run for the viewer Rerun, an .rrd file (needs rerun-sdk).
+        Export to an .rrd file for the Rerun viewer (needs rerun-sdk).
     video
-        Write the drive as a video, an .mp4 file (VP9, 15 s; takes about half a minute).
+        Export to an .mp4 video of the drive (VP9, 15 s long; takes about half a minute).
     """
 
     mcap: Path | None = None
@@ -36,25 +36,25 @@ class Exports:
     video: Path | None = None
 
     def observers(self, show: Callable[[str, float], None]) -> list[Observer]:
-        """Return what writes the files; `show` is called with what is written and the share that is.
+        """Return the observers that write the files; `show` is called with the task and its progress.
 
         Raises
         ------
         ConfigError
-            If a file cannot be written; the run has not begun yet.
+            If a file cannot be written; it is raised before the run begins.
         """
         for path, ending in self._files():
             if path.suffix != ending:
-                raise ConfigError(f"{path}: give it a name that ends in {ending}")
+                raise ConfigError(f"{path}: the file name must end in {ending}")
             if not path.parent.is_dir():
-                raise ConfigError(f"{path}: there is no folder {path.parent}; make it first")
-        return list(self._made(show))
+                raise ConfigError(f"{path}: no such folder: {path.parent}; create it first")
+        return list(self._observers(show))
 
     def _files(self) -> list[tuple[Path, str]]:
         files = ((self.mcap, ".mcap"), (self.rerun, ".rrd"), (self.video, ".mp4"))
         return [(path, ending) for path, ending in files if path is not None]
 
-    def _made(self, show: Callable[[str, float], None]) -> Iterator[Observer]:
+    def _observers(self, show: Callable[[str, float], None]) -> Iterator[Observer]:
         if self.mcap is not None:
             from impslam.observers.ros_map import RosMap
 
@@ -69,7 +69,7 @@ class Exports:
             yield Video(self.video, partial(show, "writing the video"))
 
     def lines(self) -> Iterator[str]:
-        """Yield a line for each file."""
+        """Yield a line of output for each file."""
         for path, use in (
             (self.mcap, "for Foxglove and RViz"),
             (self.rerun, "for Rerun"),

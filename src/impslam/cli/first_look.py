@@ -1,4 +1,4 @@
-"""What `imp run` says before it begins: what it has chosen, and what the first minutes show to be wrong."""
+"""What `imp run` prints first: the preset and streams in use, and problems in the first minutes."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from impslam.sources.base import Source
 
 
 def show_first_look(config: Config, source: Source, preset: str | None) -> Standing:
-    """Print which preset, streams and mounts a run uses, and what harms it.
+    """Print the preset, streams and mounts of a run and the problems found; return the health of its poses.
 
-    `preset` is the one that was asked for. Returned is what that says of all poses of the run.
+    `preset` is the one given by the user, if any.
     """
     with unread_copy(source) as log:
         found = log.preset
         harm = first_look(config, log)
         chosen = choices(config, log)
     named = preset or ("stored in the log" if "\n" in found else found)
-    console.say(f"reads: preset {named}; {chosen}")
+    console.echo(f"reads: preset {named}; {chosen}")
     for finding in harm:
         console.show_finding(finding.kind, str(finding), harmful=True)
     return worst_health(harm)

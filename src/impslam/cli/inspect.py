@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from impslam.cli import console
-from impslam.cli.console import Base, Columns, Common, Flag, Settings, Topics
-from impslam.cli.progress import display, follow
+from impslam.cli.console import Columns, Common, ConfigName, Flag, Settings, Topics
+from impslam.cli.progress import display, with_progress
 
 if TYPE_CHECKING:
     from impslam.cli.survey import Beams, Survey
@@ -22,7 +22,7 @@ def inspect(
     log: Path,
     /,
     *,
-    config: Base = None,
+    config: ConfigName = None,
     settings: Settings = (),
     topics: Topics = (),
     columns: Columns = (),
@@ -34,32 +34,32 @@ def inspect(
     Parameters
     ----------
     log
-        A file or folder; its format is recognised from its content.
+        A file or folder; its format is detected from its content.
     json
-        Print all of it as JSON.
+        Print everything as JSON.
     """
-    from impslam.cli.job import settings_of
+    from impslam.cli.job import all_settings
     from impslam.cli.survey import Survey
     from impslam.fitting import choices
     from impslam.open_log import open_log
 
-    chosen, source = open_log(log, config, settings_of(settings, topics, columns))
+    chosen, source = open_log(log, config, all_settings(settings, topics, columns))
     survey = Survey(chosen)
-    with source, display(common is not None and common.quiet) as shown:
-        streams, preset, air = source.streams(), source.preset, source.surroundings()
-        for _ in follow(survey.read(source), source, shown, "reading"):
+    with source, display(common is not None and common.quiet) as progress:
+        streams, preset, ambient = source.streams(), source.preset, source.surroundings()
+        for _ in with_progress(survey.read(source), source, progress, "reading"):
             pass
     named = config or ("stored in the log" if "\n" in preset else preset)
     if json:
         from impslam.cli.inspect_json import as_json
 
-        console.say(as_json(log, source, named, streams, survey, air))
+        console.echo(as_json(log, source, named, streams, survey, ambient))
         return
-    console.say(f"{log}: {source.name}, preset {named}")
+    console.echo(f"{log}: {source.name}, preset {named}")
     _show_streams(streams, survey.reads)
-    console.say(f"reads: {choices(chosen, source)}")
+    console.echo(f"reads: {choices(chosen, source)}")
     _show_clocks(survey)
-    facts = _scan_facts(survey.beams) | _motion_facts(survey, chosen) | _air_facts(air)
+    facts = _scan_facts(survey.beams) | _motion_facts(survey, chosen) | _ambient_facts(ambient)
     console.show_facts(facts)
     _show_problems(source.problems, survey.unused, survey.problems, findings=survey.findings)
 
@@ -94,7 +94,9 @@ def _show_clocks(survey: Survey) -> None:
     header = ("message", "count", "Hz", "seconds", "longest gap, s", "backward", "repeated")
     console.show_table(header, rows, numbers=6)
     if any(clock.backward for clock in survey.clocks.values()):
-        console.say("backward stamps are no problem by themselves: the order is that of the log")
+        console.echo(
+            "backward stamps alone are no problem: messages are used in the order of the log"
+        )
 
 
 def _scan_facts(beams: Beams) -> dict[str, str]:
@@ -105,7 +107,7 @@ def _scan_facts(beams: Beams) -> dict[str, str]:
     several = f" to {counts[-1]}" if len(counts) > 1 else ""
     turns = f", {len(beams.starts)} start angles" if len(beams.starts) > 1 else ""
     sweep = f"{1000 * beams.sweep:.0f} ms" if beams.sweep else "not in the log; assumed to be 0"
-    limits = f"{_number(low, 2)} to {_number(high, 2)} m, according to the messages"
+    limits = f"{_number(low, 2)} to {_number(high, 2)} m, from the messages"
     return {
         "beams": f"{counts[0]}{several}",
         "field of view": f"{math.degrees(beams.field_of_view):.1f} deg{turns}",
@@ -117,28 +119,31 @@ def _scan_facts(beams: Beams) -> dict[str, str]:
 
 
 def _motion_facts(survey: Survey, config: Config) -> dict[str, str]:
-    way, turns = f"{survey.way:.2f} m", f"{math.degrees(survey.rotation):.0f} deg of turns"
-    return {"odometry": f"{config.odometry['kind']}, {way}, {turns}"}
+    distance, turns = (
+        f"{survey.distance:.2f} m",
+        f"{math.degrees(survey.rotation):.0f} deg of turns",
+    )
+    return {"odometry": f"{config.odometry['kind']}, {distance}, {turns}"}
 
 
-def _air_facts(air: Mapping[str, tuple[float, float]]) -> dict[str, str]:
+def _ambient_facts(ambient: Mapping[str, tuple[float, float]]) -> dict[str, str]:
     units = {"temperature": (1.0, "deg C"), "humidity": (100.0, "%")}
     return {
         name: f"{units[name][0] * low:.1f} to {units[name][0] * high:.1f} {units[name][1]}"
-        for name, (low, high) in air.items()
+        for name, (low, high) in ambient.items()
     }
 
 
-def _show_problems(*found: Problems, findings: list[Finding]) -> None:
-    console.say()
-    for problems in found:
+def _show_problems(*all_problems: Problems, findings: list[Finding]) -> None:
+    console.echo()
+    for problems in all_problems:
         for kind, count in problems.counts.items():
             console.show_problem(kind, count, problems.examples[kind])
     for finding in findings:
         console.show_finding(finding.kind, str(finding), harmful=finding.harmful)
-    kinds = {kind for problems in found for kind in problems.counts}
-    if kinds <= console.COPED_WITH and not any(finding.harmful for finding in findings):
-        console.say("no problem found")
+    kinds = {kind for problems in all_problems for kind in problems.counts}
+    if kinds <= console.HARMLESS and not any(finding.harmful for finding in findings):
+        console.echo("no problems found")
 
 
 def _number(value: float, digits: int) -> str:

@@ -1,4 +1,4 @@
-"""What `imp inspect` prints, for other programs: all numbers, and each finding with its settings."""
+"""The JSON output of `imp inspect`: all numbers, and each finding with its settings."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ def as_json(
     preset: str,
     streams: list[Stream],
     survey: Survey,
-    air: Mapping[str, tuple[float, float]],
+    ambient: Mapping[str, tuple[float, float]],
 ) -> str:
-    """Return the facts, problems and findings of a log as JSON; what is not known is null."""
+    """Return the facts, problems and findings of a log as JSON; unknown values are null."""
     facts = {
         "log": str(log),
         "format": source.name,
@@ -31,8 +31,8 @@ def as_json(
         "streams": [{**asdict(stream), "used": stream.name in survey.reads} for stream in streams],
         "clocks": {name: _clock(clock) for name, clock in sorted(survey.clocks.items())},
         "scans": _beams(survey.beams),
-        "odometry": {"way_m": survey.way, "turns_rad": survey.rotation},
-        "air": {f"{name}_{unit}": air.get(name) for name, unit in UNITS.items()},
+        "odometry": {"way_m": survey.distance, "turns_rad": survey.rotation},
+        "air": {f"{name}_{unit}": ambient.get(name) for name, unit in UNITS.items()},
         "problems": [
             one for part in (source.problems, survey.unused, survey.problems) for one in _list(part)
         ],

@@ -1,4 +1,4 @@
-"""Signals that end a run: it stops between two scans, and what it knows by then is written."""
+"""Stops a run on a signal, between two scans, so that what has been mapped is written."""
 
 from __future__ import annotations
 
@@ -10,59 +10,59 @@ from impslam.errors import Interrupted
 from impslam.map import Keyframe, PathRows, Revision, Track
 from impslam.observers.base import Observer
 
-SAID = {"SIGINT": "interrupted", "SIGTERM": "terminated", "SIGHUP": "terminal closed"}
-"""The signals, of which Windows has not all, and how they are called."""
+REASONS = {"SIGINT": "interrupted", "SIGTERM": "terminated", "SIGHUP": "terminal closed"}
+"""The signals that stop a run (Windows lacks some), and the reason to report."""
 
 
 class Interruption(Observer):
-    """Ends a run where a signal asks for it: the first one after the scan at work, the second at once.
+    """Stops a run on a signal: on the first one after the current scan, on the second at once.
 
-    The first one ends it at once, too, if nothing is mapped yet. It takes signals while it is entered.
+    The first one also stops it at once if nothing is mapped yet. Use it as a context manager.
 
     Parameters
     ----------
-    tell : called where the run ends after a scan
+    on_stop : called before the run is stopped after a scan
     """
 
-    def __init__(self, tell: Callable[[], None] = lambda: None) -> None:
-        self._tell, self._mapped, self._asked = tell, False, 0
+    def __init__(self, on_stop: Callable[[], None] = lambda: None) -> None:
+        self._on_stop, self._mapped, self._received = on_stop, False, 0
 
     def __enter__(self) -> Interruption:
-        """Take the signals that are not ignored (`nohup`)."""
-        wanted = [getattr(signal, name) for name in SAID if hasattr(signal, name)]
-        heard = [one for one in wanted if signal.getsignal(one) is not signal.SIG_IGN]
-        self._before = {one: signal.signal(one, self._on_signal) for one in heard}
+        """Install handlers for the signals that are not ignored (as with `nohup`)."""
+        available = [getattr(signal, name) for name in REASONS if hasattr(signal, name)]
+        handled = [one for one in available if signal.getsignal(one) is not signal.SIG_IGN]
+        self._previous = {one: signal.signal(one, self._on_signal) for one in handled}
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Give them back."""
-        for one, handler in self._before.items():
+        """Restore the previous handlers."""
+        for one, handler in self._previous.items():
             signal.signal(one, handler)
 
     def follow(self, track: Track, path: PathRows) -> None:
-        """End the run if that is asked for."""
+        """Stop the run if a signal was received."""
         del track, path
         self._mapped = True
         self.check()
 
     def revise(self, keyframe: Keyframe, revision: Revision, path: PathRows) -> None:
-        """End the run if that is asked for."""
+        """Stop the run if a signal was received."""
         del keyframe, revision, path
         self._mapped = True
         self.check()
 
     def check(self, *_: object) -> None:
-        """Raise `Interrupted` if a signal has come."""
-        if self._asked:
-            self._tell()
-            raise _interrupted(self._asked)
+        """Raise `Interrupted` if a signal was received."""
+        if self._received:
+            self._on_stop()
+            raise _interrupted(self._received)
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
         del frame
-        if self._asked or not self._mapped:
+        if self._received or not self._mapped:
             raise _interrupted(number)
-        self._asked = number
+        self._received = number
 
 
 def _interrupted(number: int) -> Interrupted:
-    return Interrupted(SAID[signal.Signals(number).name], 128 + number)
+    return Interrupted(REASONS[signal.Signals(number).name], 128 + number)

@@ -1,4 +1,4 @@
-"""A run from a log to its files: what `imp run` and `imp demo` have in common."""
+"""A run from a log to its files, shared by `imp run` and `imp demo`."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import json
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
-from impslam.cli.bar import Bar
+from impslam.cli.bar import RunBar
 from impslam.cli.exports import Exports
 from impslam.cli.interruption import Interruption
 from impslam.cli.progress import display
@@ -23,19 +23,19 @@ from impslam.sources.base import Source
 from impslam.types import TrueLandmark
 
 
-def settings_of(
+def all_settings(
     settings: Sequence[str],
     topics: Sequence[str] = (),
     columns: Sequence[str] = (),
     seed: int | None = None,
 ) -> list[str]:
-    """Return the settings, with those that other options abbreviate."""
+    """Return the settings, including those given by shorthand options."""
     seeds = [] if seed is None else [f"seed={seed}"]
     return [*settings, *topic_settings(topics), *column_settings(columns), *seeds]
 
 
 def topic_settings(topics: Sequence[str]) -> list[str]:
-    """Turn "scan=/front/scan" into the setting that it abbreviates."""
+    """Expand "scan=/front/scan" to a setting."""
     for topic in topics:
         role, equals, name = topic.partition("=")
         if not (role and equals and name):
@@ -44,7 +44,7 @@ def topic_settings(topics: Sequence[str]) -> list[str]:
 
 
 def column_settings(columns: Sequence[str]) -> list[str]:
-    """Turn "stamp=t,ranges=r0:r359" into the settings that it abbreviates."""
+    """Expand "stamp=t,ranges=r0:r359" to settings."""
     pairs = [one.partition("=") for text in columns for one in text.split(",")]
     for role, equals, name in pairs:
         if not (role.strip() and equals and name.strip()):
@@ -54,36 +54,40 @@ def column_settings(columns: Sequence[str]) -> list[str]:
     return [f"source.columns.{role.strip()}={json.dumps(name.strip())}" for role, _, name in pairs]
 
 
-def execute(  # noqa: PLR0913  # all that a run consists of
+def execute(  # noqa: PLR0913  # all parts of a run
     config: Config,
     source: Source,
     folder: Path,
     quiet: bool,
     *,
     more: Iterable[Observer] = (),
-    known: Sequence[TrueLandmark] = (),
+    true_landmarks: Sequence[TrueLandmark] = (),
     player: Callable[[Config, Source, list[Observer], Standing], Map] | None = None,
-    begin: Known | None = None,
+    known_map: Known | None = None,
     exports: Exports | None = None,
     health: Standing = SOUND,
 ) -> Map:
-    """Run a log, write its files into a folder, and show how far it has come.
+    """Map a log, write the results to a folder, and show the progress.
 
-    A run that an error or a signal ends early writes what it knows, marked as partial. `known` are the
-    true landmarks, for scoring alone, where neither the source nor a file beside it tells them.
-    `begin` is a map to continue, `exports` lists what else to write at the end, `health` what is wrong
-    with the log throughout. `player` takes the log
-    through the estimator in another way than at once.
+    If an error or a signal ends the run early, what has been mapped is written and marked as partial.
+
+    Parameters
+    ----------
+    true_landmarks : for scoring only; used instead of those of the source or the file beside it
+    player : runs the log through the estimator, e.g. in real time; default: as fast as possible
+    known_map : the map to continue
+    exports : further files to write
+    health : problems with the log that affect all poses
     """
     if folder.resolve().is_relative_to(source.path.resolve()):
         raise ConfigError(f"{folder}: is inside the log and would change it; give another -o")
-    with display(quiet) as shown:
-        known = known or source.true_landmarks() or read_surveyed(source.path)
-        bar = Bar(source, shown)
+    with display(quiet) as progress:
+        landmarks = true_landmarks or source.true_landmarks() or read_surveyed(source.path)
+        bar = RunBar(source, progress)
         files = [] if exports is None else exports.observers(bar.show)
-        observers = [bar, Recorder(folder, known), *more, *files]
+        observers = [bar, Recorder(folder, landmarks), *more, *files]
         if player is not None:
             return player(config, source, observers, health)
         with Interruption(bar.interrupted) as interruption:
-            seen = [*observers, interruption]
-            return map_log(config, source, seen, interruption.check, begin, health)
+            observers.append(interruption)
+            return map_log(config, source, observers, interruption.check, known_map, health)

@@ -1,4 +1,4 @@
-"""`imp list`: the components of every role, and what their parameters mean."""
+"""`imp list`: the components of every role and their parameters."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def list_components(role: str | None = None, /, *, common: Common | None = None)
     Parameters
     ----------
     role
-        extractor, filter, association, ...; or presets, worlds, or simulated-robot. Default: everything.
+        A role (extractor, filter, association, ...), presets, worlds or simulated-robot. Default: all.
     """
     from impslam.config import presets
     from impslam.simulation.robot import SimulatedRobot
@@ -41,7 +41,7 @@ def list_components(role: str | None = None, /, *, common: Common | None = None)
     if role is not None and role not in known:
         raise ConfigError(f"no role is called {role!r}; {near_miss(role, known)}")
     for name in known if role is None else [role]:
-        console.say(name)
+        console.echo(name)
         if name == "presets":
             _show_names({preset: _title(preset) for preset in presets()})
         elif name == "worlds":
@@ -51,11 +51,11 @@ def list_components(role: str | None = None, /, *, common: Common | None = None)
         else:
             for component in components(name).values():
                 _show(component)
-        console.say()
+        console.echo()
 
 
 def _title(preset: str) -> str:
-    """Return the first sentence of the comment that a preset's file begins with."""
+    """Return the first sentence of the comment at the top of a preset's file."""
     text = files("impslam").joinpath("presets", f"{preset}.toml").read_text("utf-8")
     comment = takewhile(lambda line: line.startswith("#"), text.splitlines())
     words = " ".join(line.removeprefix("#").strip() for line in comment)
@@ -69,20 +69,22 @@ def _show_names(names: dict[str, str]) -> None:
 
 def _show(component: type[Component]) -> None:
     _print_rows([(component.name, component.describe())], INDENT // 2)
-    rows = [row for row in parameters(component) if row[0] != "path"]  # the log is no parameter
+    rows = [
+        row for row in parameters(component) if row[0] != "path"
+    ]  # the log's path is an argument
     if rows:
         _print_rows(rows, 2 * INDENT)
 
 
 def parameters(model: type[BaseModel], prefix: str = "", values: Any = None) -> list[Row]:
-    """Return name, default, unit and sentence of every parameter, those of inner tables dotted."""
+    """Return name, default, unit and description of each parameter; inner tables have dotted names."""
     rows: list[Row] = []
     for name, field in model.model_fields.items():
         default = _default(field) if values is None else getattr(values, name)
         if isinstance(default, BaseModel):
             rows += parameters(type(default), f"{prefix}{name}.", default)
         else:
-            rows.append((prefix + name, _say(default), _unit(field), field.description or ""))
+            rows.append((prefix + name, _format(default), _unit(field), field.description or ""))
     return rows
 
 
@@ -90,8 +92,8 @@ def _default(field: FieldInfo) -> Any:
     return ... if field.is_required() else field.get_default(call_default_factory=True)
 
 
-def _say(default: Any) -> str:
-    """Return a default as a config file would say it."""
+def _format(default: Any) -> str:
+    """Return a default as written in a config file."""
     if default is ...:
         return "(required)"
     if isinstance(default, bool):

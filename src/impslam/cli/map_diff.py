@@ -1,4 +1,4 @@
-"""`imp map diff`: walls that are gone, and new ones."""
+"""`imp map diff`: the changes between two maps."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ def diff(
     json: Path | None = None,
     common: Common | None = None,
 ) -> None:
-    """Show what has changed between two maps of a place.
+    """Show the changes between two maps of a place.
 
     Parameters
     ----------
     before
-        The earlier map; positions are given in its frame.
+        The earlier map. Positions are printed in its frame.
     after
         The later map.
     aligned
-        The maps share a frame. Default: the later map is aligned with the earlier one.
+        The maps share a frame. Default: align the later map with the earlier one.
     output
-        The picture, a PNG file.
+        PNG file to draw the changes to.
     json
-        Write all numbers: a JSON file.
+        JSON file to write all numbers to.
     """
     from impslam.cli.comparison_json import write_json
-    from impslam.cli.map_work import picture_path, working, write_bytes
+    from impslam.cli.map_work import picture_path, progress_line, write_bytes
     from impslam.errors import ImpError
     from impslam.map import Map
     from impslam.maps.changes import changes
@@ -49,13 +49,13 @@ def diff(
     quiet = common is not None and common.quiet
     picture = None if output is None else picture_path(after, output)
     known, other = Map.load(before), Map.load(after)
-    with working("finding how the maps lie", quiet) as progress:
+    with progress_line("aligning the maps", quiet) as progress:
         if not aligned:
             try:
                 other = aligned_to(known, other, progress)
             except ImpError as error:
                 raise ImpError(f"{after} in {before}: {error}") from None
-    with working("comparing", quiet):
+    with progress_line("comparing", quiet):
         found = changes(known, other)
         if picture is not None:
             write_bytes(picture, changes_png(map_image(other.grid()), found))
@@ -72,7 +72,7 @@ def _show(found: Changes) -> None:
         for n, (what, c) in enumerate(named, 1)
     ]
     if not rows:
-        console.say("nothing has changed where both maps were seen")
+        console.echo("nothing has changed in the area that both maps cover")
         return
     console.show_table(("", "what", "x, m", "y, m", "length, m"), rows, numbers=3)
 

@@ -1,43 +1,43 @@
-"""`imp map export`: a map as files for other programs."""
+"""`imp map export`: files of a map for other programs."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 from impslam.cli import console
-from impslam.cli.console import Common, Target
+from impslam.cli.console import Common, RequiredOutput
 
 
 def export(
     file: Path,
     /,
     *,
-    output: Target,
+    output: RequiredOutput,
     resolution: float = 0.05,
     common: Common | None = None,
 ) -> None:
-    """Write a map's grid, graph, landmarks and path as files.
+    """Export a map's grid, graph, landmarks and path to files.
 
-    `map.pgm` and `map.yaml` for map_server, `graph.g2o`, `landmarks.csv`, `trajectory.tum` and
-    `trajectory.csv`.
+    The files are `map.pgm` and `map.yaml` for map_server, `graph.g2o`, `landmarks.csv`,
+    `trajectory.tum` and `trajectory.csv`.
 
     Parameters
     ----------
     file
-        A map, as `imp run` writes it.
+        A map file written by `imp run`.
     output
-        A new or an empty folder, or one that holds nothing but an export.
+        A new or empty folder, or one that contains only an earlier export.
     resolution
-        Side of a cell of the grid, m.
+        Cell size of the grid, m.
     """
-    from impslam.cli.map_work import result_folder, working
+    from impslam.cli.map_work import progress_line, result_folder
     from impslam.map import Map
     from impslam.maps.files import map_image
     from impslam.observers.map_files import MAP_FILES, write_map_files
     from impslam.paths import written
 
     quiet = common is not None and common.quiet
-    with working("exporting", quiet):
+    with progress_line("exporting", quiet):
         known = Map.load(file)
         image = map_image(known.grid(resolution))
         result_folder(output, MAP_FILES)
@@ -45,4 +45,4 @@ def export(
             write_map_files(output, known, image)
     if not quiet:
         for path in sorted(output.iterdir()):
-            console.say(str(path))
+            console.echo(str(path))

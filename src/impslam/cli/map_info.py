@@ -1,4 +1,4 @@
-"""`imp map info`: what a map holds."""
+"""`imp map info`: the contents of a map."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ def info(
     json: Path | None = None,
     common: Common | None = None,
 ) -> None:
-    """Print what a map holds, and draw it.
+    """Print the contents of a map and draw it.
 
     Parameters
     ----------
     file
-        A map, as `imp run` writes it.
+        A map file written by `imp run`.
     output
-        The picture, a PNG file. Default: beside the map, with its name.
+        PNG file of the picture. Default: beside the map, with its name.
     json
-        Write all numbers: a JSON file.
+        JSON file to write all numbers to.
     """
     from impslam.cli.comparison_json import write_json
-    from impslam.cli.map_work import picture_path, working, write_picture
+    from impslam.cli.map_work import picture_path, progress_line, write_picture
     from impslam.evaluation.quality import quality
     from impslam.map import Map
     from impslam.maps.facts import facts
@@ -45,30 +45,30 @@ def info(
 
     quiet = common is not None and common.quiet
     picture = picture_path(file, output)
-    with working("reading the map", quiet):
+    with progress_line("reading the map", quiet):
         known = Map.load(file)
-    with working("drawing the map", quiet):
+    with progress_line("drawing the map", quiet):
         image = map_image(known.grid())
         found = facts(known, image, time.time())
         write_picture(picture, known, image)
-    with working("comparing the scans", quiet):
+    with progress_line("comparing the scans", quiet):
         agreement = quality(known)
     if not quiet:
-        console.say(f"{file}:")
+        console.echo(f"{file}:")
         partial = known.about.get("partial")
-        shown = {
+        rows = {
             **_rows(found),
             **({"partial": str(partial)} if partial else {}),
             "quality": _quality(agreement),
             "picture": str(picture),
         }
-        console.show_facts(shown)
+        console.show_facts(rows)
     if json is not None:
         write_json(json, {**asdict(found), "quality": agreement.figures()})
 
 
 def _rows(found: MapFacts) -> dict[str, str]:
-    """Return the facts as people read them."""
+    """Return the facts in readable form."""
     left, right, bottom, top = found.extent
     marks = ", ".join(f"{n} {kind}" for kind, n in found.landmarks.items()) or "none"
     lost = f", {found.unplaced} of them not placed in the map" if found.unplaced else ""
@@ -105,7 +105,7 @@ def _walls(found: MapFacts) -> str:
 
 def _quality(found: Quality) -> str:
     if math.isnan(found.disagreement):
-        return "unknown: no two scans see the same surface"
+        return "unknown: no surface is seen by two scans"
     return (
         f"scans disagree by {100 * found.disagreement:.1f} cm, free space contradicts "
         f"{100 * found.contradicted:.1f} % of their points, {100 * found.doubled:.1f} % on doubled "

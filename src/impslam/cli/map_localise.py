@@ -1,4 +1,4 @@
-"""`imp map localise`: where in a map each scan of a log was taken."""
+"""`imp map localise`: locate the scans of a log in a map."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter, validators
 
 from impslam.cli import console
-from impslam.cli.console import Base, Common, Output, Settings, Topics
+from impslam.cli.console import Common, ConfigName, Output, Settings, Topics
 
 if TYPE_CHECKING:
     from impslam.localisation import Located
@@ -25,7 +25,7 @@ def localise(  # noqa: PLR0913  # each is an option that a user may give
     /,
     *,
     every: Annotated[int, Parameter(validator=validators.Number(gte=1))] = 1,
-    config: Base = None,
+    config: ConfigName = None,
     output: Output = None,
     settings: Settings = (),
     topics: Topics = (),
@@ -36,27 +36,26 @@ def localise(  # noqa: PLR0913  # each is an option that a user may give
     Parameters
     ----------
     file
-        A map, as `imp run` writes it.
+        A map file written by `imp run`.
     log
-        A file or folder; its format is recognised from its content.
+        A file or folder; its format is detected from its content.
     every
-        Locate every so many-th scan only: 10 for every tenth.
+        Locate only every N-th scan.
     output
-        The folder to write to: places.csv, summary.json and places.png. Default:
-        runs/LOG-places-DATE-TIME.
+        Folder for places.csv, summary.json and places.png. Default: runs/LOG-places-DATE-TIME.
     """
     from impslam.cli.comparison_json import write_json
-    from impslam.cli.job import settings_of
-    from impslam.cli.map_work import result_folder, working, write_bytes
+    from impslam.cli.job import all_settings
+    from impslam.cli.map_work import progress_line, result_folder, write_bytes
     from impslam.localisation import localise as located
     from impslam.map import Map
     from impslam.maps.files import map_image
     from impslam.observers.places_picture import places_png
 
     quiet = common is not None and common.quiet
-    changes = settings_of(settings, topics)
+    changes = all_settings(settings, topics)
     known = Map.load(file)
-    with working("localising", quiet) as progress:
+    with progress_line("localising", quiet) as progress:
         found = list(
             located(
                 known, log, config, changes, every=every,
@@ -75,7 +74,7 @@ def localise(  # noqa: PLR0913  # each is an option that a user may give
 
 
 def _table(found: list[Located]) -> str:
-    """Return a row for each scan; x to score are those of the best hypothesis."""
+    """Return a CSV row for each scan; x to score describe the best hypothesis."""
     rows = ["stamp,verdict,x,y,theta,odds,score,hypotheses"]
     for place in found:
         answer, pose = place.answer, ",,"
@@ -89,7 +88,7 @@ def _table(found: list[Located]) -> str:
 
 
 def _facts(found: list[Located]) -> dict[str, Any]:
-    """Return the content of summary.json."""
+    """Return the contents of summary.json."""
     import numpy as np
 
     counts = Counter(place.answer.verdict.value for place in found)
@@ -102,8 +101,8 @@ def _facts(found: list[Located]) -> dict[str, Any]:
 def _show(facts: dict[str, Any], folder: Path) -> None:
     meanings = {
         "found": "at one place",
-        "ambiguous": "at several places, or none for sure",
-        "nowhere": "at no place of the map",
+        "ambiguous": "at several places, or uncertain",
+        "nowhere": "at no place in the map",
     }
     scans = facts["scans"]
     rows = {
@@ -111,5 +110,5 @@ def _show(facts: dict[str, Any], folder: Path) -> None:
         for name, words in meanings.items()
     }
     times = facts["time_ms"]
-    rows["time"] = f"{times['p50']:.0f} ms a scan in the median, {times['max']:.0f} ms at most"
+    rows["time"] = f"median {times['p50']:.0f} ms per scan, maximum {times['max']:.0f} ms"
     console.show_facts({**rows, "written to": str(folder)})

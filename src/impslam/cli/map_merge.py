@@ -1,17 +1,17 @@
-"""`imp map merge`: several maps as one."""
+"""`imp map merge`: merge maps."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 from impslam.cli import console
-from impslam.cli.console import Common, Target
+from impslam.cli.console import Common, RequiredOutput
 from impslam.errors import ConfigError, ImpError
 
 
 def merge(
     *files: Path,
-    output: Target,
+    output: RequiredOutput,
     common: Common | None = None,
 ) -> None:
     """Merge maps of one building, in the frame of the first.
@@ -19,24 +19,24 @@ def merge(
     Parameters
     ----------
     files
-        Two or more maps, as `imp run` writes them.
+        Two or more map files written by `imp run`.
     output
-        The merged map.
+        File of the merged map.
     """
-    from impslam.cli.map_work import working
+    from impslam.cli.map_work import progress_line
     from impslam.map import Map
     from impslam.maps.merge import NotMergedError, merged
 
     if len(files) < 2:
-        raise ConfigError("merge takes two maps or more: imp map merge A.imp B.imp -o C.imp")
+        raise ConfigError("merge needs two or more maps: imp map merge A.imp B.imp -o C.imp")
     quiet = common is not None and common.quiet
     maps = [Map.load(file) for file in files]
-    with working("merging", quiet) as progress:
+    with progress_line("merging", quiet) as progress:
         try:
             known = merged(*maps, progress=progress.step)
         except NotMergedError as error:
             why = f"{error.found.words}; drive where the others have been"
-            raise ImpError(f"{files[error.which]}: is not merged: {why}") from None
+            raise ImpError(f"{files[error.which]}: cannot be merged: {why}") from None
         known.save(output)
     if quiet:
         return

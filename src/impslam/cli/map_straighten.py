@@ -1,4 +1,4 @@
-"""`imp map straighten`: walls along the axes."""
+"""`imp map straighten`: align the walls of a map with the axes."""
 
 from __future__ import annotations
 
@@ -6,33 +6,33 @@ import math
 from pathlib import Path
 
 from impslam.cli import console
-from impslam.cli.console import Common, Target
+from impslam.cli.console import Common, RequiredOutput
 
 
 def straighten(
     file: Path,
     /,
     *,
-    output: Target,
+    output: RequiredOutput,
     common: Common | None = None,
 ) -> None:
-    """Turn a map, by 45° at most, so that its walls are along the axes.
+    """Rotate a map by up to 45° to align its walls with the axes.
 
-    Graph, path, grid and landmarks turn with it.
+    The graph, path, grid and landmarks are rotated together.
 
     Parameters
     ----------
     file
-        A map, as `imp run` writes it.
+        A map file written by `imp run`.
     output
-        The straightened map.
+        File of the straightened map.
     """
-    from impslam.cli.map_work import working
+    from impslam.cli.map_work import progress_line
     from impslam.errors import ImpError
     from impslam.map import Map
 
     quiet = common is not None and common.quiet
-    with working("straightening", quiet):
+    with progress_line("straightening", quiet):
         known = Map.load(file)
         direction = known.direction()
         try:
@@ -43,6 +43,6 @@ def straighten(
     if quiet:
         return
     turn, sigma = math.degrees(-direction.angle), math.degrees(direction.sigma)
-    sure = f" ± {sigma:.2f}°" if math.isfinite(sigma) else ""
+    spread = f" ± {sigma:.2f}°" if math.isfinite(sigma) else ""
     share = f"{100 * direction.share:.0f} % of the walls are within 5° of the axes"
-    console.show_facts({"turned by": f"{turn:+.2f}°{sure}; {share}", "map": str(output)})
+    console.show_facts({"turned by": f"{turn:+.2f}°{spread}; {share}", "map": str(output)})

@@ -1,4 +1,4 @@
-"""What the commands on maps share: their progress, and the picture of a map."""
+"""Progress, pictures and output files, shared by the `imp map` commands."""
 
 from __future__ import annotations
 
@@ -18,56 +18,56 @@ if TYPE_CHECKING:
     from impslam.maps.files import MapImage
 
 
-class Work:
-    """What is going on, on a display of progress, or nowhere if that is None."""
+class Progress:
+    """A line of a progress display, or nothing if the display is None."""
 
     def __init__(self, display: Any, what: str) -> None:
         self._display, self._what = display, what
         self._task = None if display is None else display.add_task(what, total=None)
 
     def __call__(self, share: float) -> None:
-        """Show the share that is done, 0 to 1."""
+        """Show the share of the work that is done, 0 to 1."""
         self.step(self._what, share)
 
     def step(self, what: str, share: float) -> None:
-        """Show what is being done now, and the share of it that is done."""
+        """Show the current step and the share of it that is done."""
         if self._display is not None:
             self._display.update(self._task, description=what, total=1.0, completed=share)
 
 
 @contextmanager
-def working(what: str, quiet: bool) -> Iterator[Work]:
-    """Show that something is going on, and how far it has come as soon as that is told."""
-    with display(quiet) as shown:
-        yield Work(shown, what)
+def progress_line(what: str, quiet: bool) -> Iterator[Progress]:
+    """Show that work is in progress; yield a callback for the share that is done."""
+    with display(quiet) as bars:
+        yield Progress(bars, what)
 
 
-def picture_path(beside: Path, wanted: Path | None) -> Path:
-    """Return where a picture goes: the PNG asked for, or one beside a file, with its name."""
-    if wanted is not None and wanted.suffix.lower() != ".png":
-        raise ConfigError(f"{wanted}: is drawn as a PNG; give -o NAME.png")
-    return wanted or beside.with_suffix(".png")
+def picture_path(beside: Path, requested: Path | None) -> Path:
+    """Return the path of a picture: the requested PNG, or one named like the file beside it."""
+    if requested is not None and requested.suffix.lower() != ".png":
+        raise ConfigError(f"{requested}: pictures are written as PNG; give -o NAME.png")
+    return requested or beside.with_suffix(".png")
 
 
 def result_folder(folder: Path, files: frozenset[str]) -> Path:
-    """Return a folder to write these files to, made if need be, emptied of those of an earlier time.
+    """Create a folder for these files if needed, delete existing ones, and return it.
 
     Raises
     ------
     ConfigError
-        If it holds anything else.
+        If it contains anything else.
     ImpError
-        If it cannot be made.
+        If it cannot be created.
     """
     with written(folder, "give another -o"):
         folder.mkdir(parents=True, exist_ok=True)
-        there = {path.name for path in folder.iterdir()}
-        if strange := there - files:
+        existing = {path.name for path in folder.iterdir()}
+        if foreign := existing - files:
             raise ConfigError(
-                f"{folder}: holds {min(strange)!r}, which is none of the files that are written; "
-                "give -o a new or an empty folder"
+                f"{folder}: contains {min(foreign)!r}, which this command does not write; "
+                "give -o a new or empty folder"
             )
-        for name in there:
+        for name in existing:
             (folder / name).unlink()
     return folder
 

@@ -1,4 +1,4 @@
-"""Output into a pipe whose reader may leave, as `imp run LOG | head` does: the command goes on."""
+"""Output to a pipe that its reader may close, as in `imp run LOG | head`: the command continues."""
 
 from __future__ import annotations
 
@@ -7,36 +7,36 @@ import io
 import sys
 from typing import Any, BinaryIO, TextIO, cast
 
-GONE = frozenset({errno.EPIPE, errno.EINVAL})
-"""What writing to a pipe without a reader fails with; on Windows it is EINVAL."""
+BROKEN_PIPE_ERRORS = frozenset({errno.EPIPE, errno.EINVAL})
+"""Error numbers of writing to a pipe without a reader; Windows reports EINVAL."""
 
 
-class _Pipe(io.FileIO):
-    """Drops what is written once nobody reads."""
+class _TolerantPipe(io.FileIO):
+    """Discards output once the pipe has no reader."""
 
     def write(self, data: Any, /) -> int:
-        """Write, or drop, all bytes; return their number."""
+        """Write or discard all bytes; return their number."""
         try:
             return super().write(data)
         except OSError as error:
-            if error.errno not in GONE:
+            if error.errno not in BROKEN_PIPE_ERRORS:
                 raise
             return memoryview(data).nbytes
 
 
-def outlive_readers() -> None:
-    """Let stdout and stderr drop what is written after their reader has left."""
-    sys.stdout, sys.stderr = _outliving(sys.stdout), _outliving(sys.stderr)
+def ignore_broken_pipes() -> None:
+    """Make stdout and stderr discard output after their reader has closed the pipe."""
+    sys.stdout, sys.stderr = _tolerant(sys.stdout), _tolerant(sys.stderr)
 
 
-def _outliving(stream: TextIO) -> TextIO:
-    """Return the stream of a pipe with that behaviour, any other one as it is.
+def _tolerant(stream: TextIO) -> TextIO:
+    """Return a stream that ignores a broken pipe; return terminals and other streams unchanged.
 
-    It is unbuffered if the stream is, as with `PYTHONUNBUFFERED` in a systemd unit.
+    It is unbuffered if the stream is, e.g. with `PYTHONUNBUFFERED` in a systemd unit.
     """
     if not isinstance(stream, io.TextIOWrapper) or stream.isatty():
         return stream
-    pipe = _Pipe(stream.fileno(), "w", closefd=False)
+    pipe = _TolerantPipe(stream.fileno(), "w", closefd=False)
     return io.TextIOWrapper(
         cast("BinaryIO", pipe) if stream.write_through else io.BufferedWriter(pipe),
         encoding=stream.encoding,

@@ -1,4 +1,4 @@
-"""`imp run LOG --live`: a log played on the page that a robot serves."""
+"""`imp run LOG --live`: replay a log on the robot's web page."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ WEB = ("nicegui", "cryptography")
 
 
 def need_web() -> None:
-    """Raise `ConfigError` where what serves the page is not installed."""
+    """Raise `ConfigError` if the packages that serve the page are not installed."""
     missing = [name for name in WEB if importlib.util.find_spec(name) is None]
     if missing:
         raise ConfigError(
@@ -38,14 +38,14 @@ def replay(
     port: int,
     quiet: bool,
 ) -> Map:
-    """Play a log on the page until it is left with Ctrl-C; return the map.
+    """Replay a log on the page until Ctrl-C; return the map.
 
-    `health` is what is wrong with the log throughout.
+    `health` describes the problems with the log that affect all poses.
 
     Raises
     ------
     QuitError
-        If it was left before the log's end.
+        If the replay was stopped before the end of the log.
     """
     need_web()
     from impslam.observers.live_view import LiveView
@@ -60,12 +60,12 @@ def replay(
             serve(
                 Model(source.path.name, view, player=player),
                 settings,
-                ready=lambda line: None if quiet else console.say(line),
+                ready=lambda line: None if quiet else console.echo(line),
                 listener=listener,
             )
         finally:
             player.stop()
     known = player.wait(0.0)
     if known is None:
-        raise QuitError("the replay was stopped before the end of the log; nothing is written")
+        raise QuitError("the replay was stopped before the end of the log; nothing was written")
     return known

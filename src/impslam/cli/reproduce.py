@@ -1,4 +1,4 @@
-"""`imp reproduce`: the tables and figures of the thesis again, and the studies that go beyond it."""
+"""`imp reproduce`: the tables and figures of the thesis, and the studies that go beyond it."""
 
 from __future__ import annotations
 
@@ -37,10 +37,8 @@ EXPERIMENTS = {
     "faults": ("faults:faults", 3),
     "filters": ("filter_table:filter_table", 100),
 }
-"""Where each experiment is, imported when it is asked for, and how many seeds its claims rest on.
-
-In the order of the page.
-"""
+"""Each experiment's module and function (imported when needed) and the number of seeds of the documented
+figures, in the order of the report."""
 ALL = "all"
 
 
@@ -48,22 +46,25 @@ def reproduce(
     *experiments: str,
     seeds: Annotated[
         int | None,
-        Parameter(help="Simulated runs of each experiment. Default: enough for a first look."),
+        Parameter(help="Simulated runs per experiment. Default: enough for a first look."),
     ] = None,
     full: Annotated[
-        bool, Parameter(negative="", help="As many runs as for the documented figures.")
+        bool,
+        Parameter(
+            negative="", show_default=False, help="Use as many runs as the documented figures."
+        ),
     ] = False,
     jobs: Jobs = None,
     data: Annotated[
-        Path | None, Parameter(help="Folder of the public logs. Default: simulated drives alone.")
+        Path | None, Parameter(help="Folder of the public logs. Default: simulated drives only.")
     ] = None,
     output: Output = None,
     force: Force = False,
     common: Common | None = None,
 ) -> None:
-    """Run experiments of the thesis and write their tables and figures into a folder.
+    """Run experiments of the thesis and write their tables and figures to a folder.
 
-    The folder holds report.html, report.md, a PNG for each figure, figures.json with the numbers, and
+    The folder contains report.html, report.md, a PNG for each figure, figures.json with the numbers, and
     a CSV file for each experiment that maps simulated drives, with a row for each run.
 
     Parameters
@@ -72,37 +73,37 @@ def reproduce(
         Any of points, lines, both, features, corridor, figures, drawings, overhead, wheels, extractors,
         consistency, faults, filters. Default: all.
     output
-        A new folder to write to. Default: runs/reproduce-DATE-TIME.
+        New folder for the results. Default: runs/reproduce-DATE-TIME.
     """
-    # A run of anything else neither imports nor needs the studies.
+    # Imported here because no other command needs the studies.
     from impslam.studies.report import PAGE, write
     from impslam.sweeps.job import Job
 
     names = _chosen(experiments)
     _check(seeds, jobs, data, full=full)
     quiet = common is not None and common.quiet
-    said = ["imp", "reproduce", *experiments, *(["--seeds", str(seeds)] if seeds else [])]
-    said += ["--full"] if full else []
+    command = ["imp", "reproduce", *experiments, *(["--seeds", str(seeds)] if seeds else [])]
+    command += ["--full"] if full else []
     parts: list[Section] = []
-    with _folder(output, force=force) as folder, display(quiet) as shown:
+    with _folder(output, force=force) as folder, display(quiet) as progress:
         try:
             for name in names:
                 runs = seeds or (EXPERIMENTS[name][1] if full else None)
-                job = Job(runs, jobs or os.cpu_count() or 1, StageBars(shown, name), data)
+                job = Job(runs, jobs or os.cpu_count() or 1, StageBars(progress, name), data)
                 parts.append(_study(name)(job))
         finally:
-            if parts:  # hours of work, where a later one is interrupted
+            if parts:  # if a later experiment is interrupted, keep hours of work
                 missing = names[len(parts) :]
-                write(folder, parts, shlex.join(said), missing)
+                write(folder, parts, shlex.join(command), missing)
     if not quiet:
         _show(parts)
-        console.say(f"report: {(output or folder) / PAGE}")
+        console.echo(f"report: {(output or folder) / PAGE}")
 
 
 def _check(seeds: int | None, jobs: int | None, data: Path | None, *, full: bool) -> None:
-    """Refuse options that contradict each other, or name nothing."""
+    """Reject options that contradict each other or have unusable values."""
     if full and seeds is not None:
-        raise ConfigError("--full and --seeds: give one of them")
+        raise ConfigError("--full and --seeds: give only one of them")
     for what, number in (("--seeds", seeds), ("--jobs", jobs)):
         if number is not None and number < 1:
             raise ConfigError(f"{what} {number}: must be at least 1")
@@ -111,22 +112,22 @@ def _check(seeds: int | None, jobs: int | None, data: Path | None, *, full: bool
 
 
 def _folder(wanted: Path | None, *, force: bool) -> AbstractContextManager[Path]:
-    """Give the folder to write to; see `run_folder`."""
+    """Yield the folder to write to; see `run_folder`."""
     from impslam.studies.report import MARKDOWN, NUMBERS, PAGE
 
-    there = wanted.iterdir() if wanted is not None and wanted.is_dir() else ()
-    more = {path.name for path in there if path.suffix in {".png", ".svg", ".csv"}}
+    existing = wanted.iterdir() if wanted is not None and wanted.is_dir() else ()
+    more = {path.name for path in existing if path.suffix in {".png", ".svg", ".csv"}}
     results = {PAGE, MARKDOWN, NUMBERS}
-    return run_folder(wanted, "reproduce", force=force, results=results, also=more, mark=NUMBERS)
+    return run_folder(wanted, "reproduce", force=force, results=results, also=more, marker=NUMBERS)
 
 
 def _chosen(words: Iterable[str]) -> list[str]:
-    asked = list(words) or [ALL]
-    for word in asked:
+    requested = list(words) or [ALL]
+    for word in requested:
         if word != ALL and word not in EXPERIMENTS:
             known = [ALL, *EXPERIMENTS]
             raise ConfigError(f"reproduce {word}: no such experiment; {near_miss(word, known)}")
-    return [name for name in EXPERIMENTS if ALL in asked or name in asked]
+    return [name for name in EXPERIMENTS if ALL in requested or name in requested]
 
 
 def _study(name: str) -> Study:
@@ -137,8 +138,8 @@ def _study(name: str) -> Study:
 
 def _show(parts: Iterable[Section]) -> None:
     for part in parts:
-        console.say(f"\n{part.title}\n")
-        for shown in part.tables:
-            numbers = len(shown.header) - shown.text
-            console.show_table(shown.header, shown.rows, shown.title, numbers)
-            console.say(shown.note + "\n" if shown.note else "")
+        console.echo(f"\n{part.title}\n")
+        for table in part.tables:
+            numbers = len(table.header) - table.text
+            console.show_table(table.header, table.rows, table.title, numbers)
+            console.echo(table.note + "\n" if table.note else "")

@@ -1,4 +1,4 @@
-"""`imp robot`: on the robot, or on a virtual one: drive, record and map from a page it serves."""
+"""`imp robot`: serve a page to drive a robot, real or virtual, and to record and map."""
 
 from __future__ import annotations
 
@@ -27,24 +27,26 @@ if TYPE_CHECKING:
 
 app = App(name="robot")
 
-Address = Annotated[str, Parameter(help="Address to listen on. Beyond loopback needs a password.")]
+Address = Annotated[
+    str, Parameter(help="Address to listen on. Other than loopback requires a password.")
+]
 Port = Annotated[int, Parameter(help="TCP port of the page.")]
 RobotPath = Annotated[Path, Parameter(name=["--config", "-c"], help="The robot file (TOML).")]
 
 
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True)
-class Serving:
+class PageOptions:
     """Where the page is served.
 
     Parameters
     ----------
     names
-        A further name that the robot is reached by, e.g. robot.example.org.
+        Another host name of the robot, e.g. robot.example.org.
     certificate
-        TLS certificate, PEM. Default: one is made.
+        TLS certificate (PEM). Default: a generated one.
     key
-        Its key, PEM.
+        Private key of the certificate (PEM).
     """
 
     host: Address = "127.0.0.1"
@@ -58,21 +60,21 @@ class Serving:
 
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True)
-class Simulated:
-    """A robot that is not there.
+class VirtualOptions:
+    """Options of the virtual robot.
 
     Parameters
     ----------
     virtual
-        Use a virtual robot: emulators that speak the devices' own bytes, in a simulated world.
+        Use a virtual robot: emulated devices, with their real protocols, in a simulated world.
     world
         The virtual robot's world (arena, corridor, room) or a TOML file.
     seed
         Seed of the virtual robot's noise.
     gps
-        The virtual robot has a GNSS receiver, as under open sky.
+        Give the virtual robot a GNSS receiver under open sky.
     speed_control
-        The virtual autopilot controls the speed of the wheels; else the motors turn as they are told.
+        Let the virtual autopilot control the wheel speeds. Default: commands set the motors directly.
     """
 
     virtual: Flag = False
@@ -86,11 +88,11 @@ class Simulated:
 def robot(
     *,
     config: RobotPath | None = None,
-    simulated: Simulated | None = None,
+    virtual: VirtualOptions | None = None,
     folder: Path | None = None,
     record: Flag = False,
     map_: Annotated[bool, Parameter(name="--map", negative="", show_default=False)] = False,
-    serving: Serving | None = None,
+    page: PageOptions | None = None,
     common: Common | None = None,
 ) -> None:
     """Serve the robot's page: drive, record and map live.
@@ -98,61 +100,59 @@ def robot(
     Parameters
     ----------
     folder
-        Where logs and maps are kept. Default: the robot file's, or ./logs.
+        Folder for logs and maps. Default: that of the robot file, or ./logs.
     record
-        Begin to record at once.
+        Start recording at once.
     map_
-        Begin to map at once.
+        Start mapping at once.
     """
     need_web()
     from impslam.platform.console.model import Model  # needs the extra
     from impslam.platform.console.server import ServerSettings, allowed, listening, serve
 
-    where = serving or Serving()
-    settings = ServerSettings(
-        where.host, where.port, where.certificate, where.key, names=where.names
-    )
-    say = ignore if common is not None and common.quiet else console.say
+    page = page or PageOptions()
+    settings = ServerSettings(page.host, page.port, page.certificate, page.key, names=page.names)
+    echo = discard if common is not None and common.quiet else console.echo
     allowed(settings)
     with (
-        listening(settings) as listener,  # before anything moves: another robot may be on its port
-        running_station(config, simulated or Simulated(), folder) as (station, title, fault),
+        listening(settings) as listener,  # before anything moves, in case the port is taken
+        running_station(config, virtual or VirtualOptions(), folder) as (station, title, fault),
     ):
         station.begin(record=record, map_=map_)
-        pulse = Pulse()
-        with Watchdog(lambda: pulse.alive() and station.helm.alive):
+        heartbeat = Heartbeat()
+        with Watchdog(lambda: heartbeat.alive() and station.helm.alive):
             model = Model(title, station.view, station=station, fault=fault)
-            serve(model, settings, ready=say, beat=pulse.beat, listener=listener)
-    say(f"stopped; logs are in {station.folder}")
+            serve(model, settings, ready=echo, beat=heartbeat.beat, listener=listener)
+    echo(f"stopped; logs are in {station.folder}")
 
 
 @app.command(
-    help=console.described(
-        "Set the password for driving (or for watching), asked for twice, or read from stdin.",
+    help=console.help_text(
+        "Set the password to drive, or to watch: type it twice, or pipe it to stdin.",
         "robot password",
         "",
         "--watch",
     )
 )
 def password(*, watch: Flag = False, common: Common | None = None) -> None:
-    """Set the password for driving, or for watching.
+    """Set the password to drive, or to watch.
 
     Parameters
     ----------
     watch
-        Set the password of those who may only watch.
+        Set the password of users who may only watch.
     """
     from impslam.platform.console.accounts import Accounts  # not needed to serve
 
     right: Right = "watch" if watch else "drive"
     accounts = Accounts()
     accounts.set(right, _new_password(right))
-    say = ignore if common is not None and common.quiet else console.say
-    say(f"the password to {right} is set in {accounts.path}; all sessions end")
+    echo = discard if common is not None and common.quiet else console.echo
+    echo(f"{accounts.path}: set the password to {right}; all sessions are logged out")
 
 
 @app.command(
-    help=console.described(
+    help=console.help_text(
         "Print a systemd unit that starts the robot on boot.",
         "robot service",
         "-c robot.toml | sudo tee /etc/systemd/system/imp.service",
@@ -162,7 +162,7 @@ def service(
     *,
     config: RobotPath,
     user: str | None = None,
-    host: Address = "0.0.0.0",  # noqa: S104  # a robot is there to be reached; a password guards it
+    host: Address = "0.0.0.0",  # noqa: S104  # must be reachable; a password protects it
     port: Port = 8443,
     common: Common | None = None,
 ) -> None:
@@ -171,7 +171,7 @@ def service(
     Parameters
     ----------
     user
-        The user it runs as. Default: you.
+        The user to run it as. Default: the current user.
     """
     del common
     from impslam.platform.station.robot_file import load_robot
@@ -179,38 +179,38 @@ def service(
     chosen = load_robot(config)
     program = Path(sys.executable).with_name("imp")
     arguments = ["robot", "-c", str(config.resolve()), "--host", host, "--port", str(port)]
-    console.say(unit(program, user or getpass.getuser(), chosen.folder.resolve(), arguments))
+    console.echo(unit(program, user or getpass.getuser(), chosen.folder.resolve(), arguments))
 
 
-class Pulse:
-    """Whether the page's server still beats."""
+class Heartbeat:
+    """The heartbeat of the page's server."""
 
     def __init__(self) -> None:
         self._last = time.monotonic()
 
     def beat(self) -> None:
-        """Live."""
+        """Record a beat."""
         self._last = time.monotonic()
 
     def alive(self) -> bool:
-        """Tell whether it has beaten within 5 s: fifty beats."""
+        """Return whether there was a beat within the last 5 s (50 periods)."""
         return time.monotonic() - self._last < 5.0
 
 
-def ignore(line: str) -> None:
-    """Say nothing."""
+def discard(line: str) -> None:
+    """Print nothing."""
 
 
 @contextmanager
 def running_station(
-    config: Path | None, simulated: Simulated, folder: Path | None
+    config: Path | None, options: VirtualOptions, folder: Path | None
 ) -> Iterator[tuple[Station, str, Fault | None]]:
-    """Give a running station, the robot's name, and a virtual one's faults; at the end all stops."""
+    """Yield a running station, the robot's name, and a virtual robot's faults; stop all on exit."""
     from impslam.platform.station.station import Station  # numba takes a second to load
 
-    if config is None and not simulated.virtual:
+    if config is None and not options.virtual:
         raise ConfigError(
-            "no robot: name its file with -c robot.toml (docs/robot-guide.md shows one), or try "
+            "no robot given; name its file with -c robot.toml (see docs/robot-guide.md), or try "
             "`imp robot --virtual`"
         )
     from impslam.platform.station.robot_file import RobotFile, load_robot
@@ -218,15 +218,15 @@ def running_station(
     chosen = RobotFile() if config is None else load_robot(config)
     fault: Fault | None = None
     with ExitStack() as stack:
-        if simulated.virtual:
+        if options.virtual:
             from impslam.platform.virtual.process import VirtualRobot  # needs the extra
             from impslam.platform.virtual.truth import TruthFollower
 
             virtual = VirtualRobot(
-                simulated.world,
-                simulated.seed,
-                gps=simulated.gps,
-                speed_control=simulated.speed_control,
+                options.world,
+                options.seed,
+                gps=options.gps,
+                speed_control=options.speed_control,
             )
             imp = stack.enter_context(virtual)
             chosen = chosen.model_copy(update={"devices": imp.devices()})
@@ -240,7 +240,7 @@ def running_station(
         )
         stack.callback(station.stop)
         station.start()
-        if simulated.virtual:
+        if options.virtual:
             follower = TruthFollower(imp.truth, station.receive)
             stack.callback(follower.stop)
             follower.start()
@@ -252,5 +252,5 @@ def _new_password(right: str) -> str:
         return sys.stdin.readline().rstrip("\n")
     first = getpass.getpass(f"new password to {right}: ")
     if first != getpass.getpass("again: "):
-        raise ImpError("the two passwords differ; nothing was changed, try again")
+        raise ImpError("the passwords differ; nothing was changed, try again")
     return first

@@ -1,4 +1,4 @@
-"""The folder of `-o`: new, or put in the place of an earlier run once the new one is complete."""
+"""The folder of `-o`: a new one, or one that replaces an earlier run once the new run is complete."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from pathlib import Path
 from impslam.errors import ConfigError, SourceError
 from impslam.paths import exchange, make_folder
 
-BEGUN = frozenset({"summary.json"})
+INITIAL_FILES = frozenset({"summary.json"})
 """Written before the first scan."""
-LIVE = frozenset({"trajectory.live.tum", "truth.tum"})
-"""Written while the robot drives."""
-FILES = (
-    BEGUN
-    | LIVE
+LIVE_FILES = frozenset({"trajectory.live.tum", "truth.tum"})
+"""Written during the run."""
+RUN_FILES = (
+    INITIAL_FILES
+    | LIVE_FILES
     | frozenset(
         {"trajectory.tum", "odometry.tum", "trajectory.csv", "landmarks.csv", "map.pgm", "map.yaml"}
         | {"map.imp", "graph.g2o", "report.html", "report.png", "config.toml"}
         | {"truth.landmarks.csv"}
     )
 )
-"""What a run writes; only such files are ever replaced or removed."""
-MARK = "trajectory.tum"
-"""Where this is, a run is, whatever else the folder holds."""
+"""All files of a run; only these are ever replaced or removed."""
+RUN_MARKER = "trajectory.tum"
+"""A folder with this file holds a run, whatever else is in it."""
 
 
 @contextmanager
@@ -34,15 +34,15 @@ def run_folder(
     name: str,
     *,
     force: bool = False,
-    results: Set[str] = FILES,
+    results: Set[str] = RUN_FILES,
     also: Set[str] = frozenset(),
-    mark: str = MARK,
+    marker: str = RUN_MARKER,
 ) -> Iterator[Path]:
-    """Give the folder to write a run to; when the block has ended well, the run is in `wanted`.
+    """Yield the folder to write a run to; when the block has succeeded, the run is in `wanted`.
 
-    Without a wish it is a new one under runs/. With `force` the run may replace an earlier one, which
-    stays as it is if the block fails. A block that fails keeps its folder if it holds any of the
-    `results`, and a note of the error says where. `also` are further files that the command writes.
+    If `wanted` is None, the folder is a new one in runs/. With `force`, the run may replace an earlier
+    one, which is left unchanged if the block fails. The folder of a failed block is kept if it holds
+    any of the `results`, and a note on the error names it. `also` are further files of the command.
 
     Raises
     ------
@@ -51,14 +51,14 @@ def run_folder(
         else.
     """
     own = results | also
-    replaced = _replaced(wanted, own, mark, force=force)
+    replaced = _replaced(wanted, own, marker, force=force)
     new = wanted is None or not wanted.exists()
     folder = _choose(wanted, name, replaced)
     try:
         yield folder
     except BaseException as error:
         if kept := _kept(folder, results, error):
-            error.add_note(kept + (f"; {wanted} is as it was" if replaced else ""))
+            error.add_note(kept + (f"; {wanted} is unchanged" if replaced else ""))
         elif folder.is_dir():
             _remove(folder, own)
             if (new or replaced) and not any(folder.iterdir()):
@@ -68,8 +68,8 @@ def run_folder(
         _replace(replaced, folder, own)
 
 
-def _replaced(wanted: Path | None, own: Set[str], mark: str, *, force: bool) -> Path | None:
-    """Return the folder of the run that is to be replaced, None where there is none."""
+def _replaced(wanted: Path | None, own: Set[str], marker: str, *, force: bool) -> Path | None:
+    """Return the folder of the run to replace, or None if there is none."""
     if wanted is None or not wanted.exists():
         return None
     if not wanted.is_dir():
@@ -77,16 +77,16 @@ def _replaced(wanted: Path | None, own: Set[str], mark: str, *, force: bool) -> 
     names = {path.name for path in wanted.iterdir()}
     if not names:
         return None
-    if names - own and mark not in names:
+    if names - own and marker not in names:
         raise ConfigError(
             f"{wanted}: is not the folder of a run (it contains {min(names - own)!r}); "
-            "give -o a new or an empty one"
+            "give -o a new or empty folder"
         )
     if not force:
-        raise ConfigError(f"{wanted}: holds a run; --force replaces it, or give another -o")
+        raise ConfigError(f"{wanted}: contains a run; replace it with --force, or give another -o")
     folder = wanted.resolve()
     if Path.cwd().is_relative_to(folder):
-        raise ConfigError(f"{wanted}: is the current folder; replace it from another one")
+        raise ConfigError(f"{wanted}: is the current folder; run the command from another one")
     return folder
 
 
@@ -98,21 +98,22 @@ def _choose(wanted: Path | None, name: str, replaced: Path | None) -> Path:
 
 
 def _kept(folder: Path, results: Set[str], error: BaseException) -> str:
-    """Return what a block that has failed leaves, "" for nothing.
+    """Return a note on the results of a failed block, or "" if there are none to keep.
 
-    Of a log that cannot be used the live path is nothing.
+    The live path of an unusable log is not kept.
     """
     files = {path.name: path for path in map(folder.joinpath, results) if path.is_file()}
-    worth = files.keys() - BEGUN - (LIVE if isinstance(error, SourceError) else set())
-    if not any(files[name].stat().st_size for name in worth):
+    unusable = isinstance(error, SourceError)
+    useful = files.keys() - INITIAL_FILES - (LIVE_FILES if unusable else set())
+    if not any(files[name].stat().st_size for name in useful):
         return ""
     if "map.imp" in files:
-        return f"{folder} holds what was mapped by then, marked as partial"
-    return f"{folder} holds {', '.join(sorted(worth))}"
+        return f"{folder} contains the map up to here, marked as partial"
+    return f"{folder} contains {', '.join(sorted(useful))}"
 
 
 def _replace(old: Path, new: Path, own: Set[str]) -> None:
-    """Put a run in the place of an earlier one; what the old folder held besides moves over."""
+    """Replace an earlier run by a new one, and keep the other files of the old folder."""
     exchange(old, new)
     _remove(new, own)
     for path in new.iterdir():
@@ -121,6 +122,6 @@ def _replace(old: Path, new: Path, own: Set[str]) -> None:
 
 
 def _remove(folder: Path, own: Set[str]) -> None:
-    """Remove what a run has written."""
+    """Remove the files of a run."""
     for name in own:
         (folder / name).unlink(missing_ok=True)

@@ -1,4 +1,4 @@
-"""What `imp evaluate` does: runs compared with the truth, with measured relations, with themselves."""
+"""Compares runs with the truth, measured relations and themselves for `imp evaluate`."""
 
 from __future__ import annotations
 
@@ -34,26 +34,27 @@ from impslam.types import Array, TrueLandmark
 log = logging.getLogger(__name__)
 DRAWN: dict[Alignment, str] = {
     "fit": "fitted to the truth",
-    "start": "laid on the true start",
+    "start": "aligned at the true start",
     "none": "as given",
 }
+"""Caption of the drawn paths by alignment."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Yardsticks:
-    """The content of those files; None where nothing was given."""
+class References:
+    """The contents of the files to compare runs with; None for files that were not given."""
 
     truth: Array | None
     landmarks: list[TrueLandmark] | None
     relations: Array | None
-    how: Against
+    options: Against
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scores:
-    """What one run scores; None where it was not compared."""
+    """The scores of a run; None for comparisons that were not made."""
 
-    place: Path
+    source: Path
     run: RecordedRun
     path: PathScore | None
     kinds: list[KindScore] | None
@@ -65,21 +66,21 @@ class Scores:
 def compare(
     runs: Sequence[Path], against: Against, output: Path | None, json: Path | None, quiet: bool
 ) -> None:
-    """Print how runs compare, write the numbers, draw the picture."""
-    yardsticks = _read(against)
-    places = list(dict.fromkeys(runs))
-    scores = dict(_scored(zip(short_names(places), places, strict=True), yardsticks))
+    """Score runs, print the tables, write the numbers and draw the picture."""
+    references = _read(against)
+    sources = list(dict.fromkeys(runs))
+    scores = dict(_scored(zip(short_names(sources), sources, strict=True), references))
     if not quiet:
-        _show(scores, yardsticks)
+        _show(scores, references)
     if json is not None:
-        write_json(json, _facts(scores, yardsticks))
+        write_json(json, _facts(scores, references))
     if output is not None:
         _draw(scores, against.align, output)
 
 
-def _read(against: Against) -> Yardsticks:
+def _read(against: Against) -> References:
     truth, landmarks, relations = against.truth, against.landmarks, against.relations
-    return Yardsticks(
+    return References(
         None if truth is None else read_tum(truth),
         None if landmarks is None else read_true_landmarks(landmarks),
         None if relations is None else read_relations(relations),
@@ -87,77 +88,81 @@ def _read(against: Against) -> Yardsticks:
     )
 
 
-def _scored(places: Iterable[tuple[str, Path]], by: Yardsticks) -> Iterator[tuple[str, Scores]]:
-    """Yield the scores of the runs that can be compared, and say of the others why they cannot.
+def _scored(
+    sources: Iterable[tuple[str, Path]], references: References
+) -> Iterator[tuple[str, Scores]]:
+    """Yield the scores of the runs that can be compared, and warn about the others.
 
     Raises
     ------
     ImpError
-        If none can, or one cannot be read.
+        If no run can be compared, or a run cannot be read.
     """
     failed: list[ImpError] = []
     compared = 0
-    for name, place in places:
-        run = read_run(place)
+    for name, source in sources:
+        run = read_run(source)
         try:
-            yield name, _score(place, run, by)
+            yield name, _score(source, run, references)
             compared += 1
         except ImpError as error:
             failed.append(error)
     if not compared:
         raise failed[0]
-    for left in failed:
-        log.warning("left out: %s", left)
+    for reason in failed:
+        log.warning("left out: %s", reason)
 
 
-def _score(place: Path, run: RecordedRun, by: Yardsticks) -> Scores:
-    """Compare a run with what there is to compare it with."""
-    truth = run.truth if by.truth is None else by.truth
-    known = run.true_landmarks if by.landmarks is None else by.landmarks
-    if by.landmarks is not None and run.landmarks is None:
-        raise ConfigError(f"{place}: contains no landmarks.csv; omit --landmarks")
-    if truth is None and by.relations is None and by.landmarks is None and run.known is None:
+def _score(source: Path, run: RecordedRun, given: References) -> Scores:
+    """Compare a run with the given references, and with those in its own folder."""
+    options = given.options
+    truth = run.truth if given.truth is None else given.truth
+    known = run.true_landmarks if given.landmarks is None else given.landmarks
+    if given.landmarks is not None and run.landmarks is None:
+        raise ConfigError(f"{source}: contains no landmarks.csv; omit --landmarks")
+    if truth is None and given.relations is None and given.landmarks is None and run.known is None:
         raise ConfigError(
-            f"{place}: contains neither a truth nor a map.imp; give --truth FILE (TUM) or "
+            f"{source}: contains neither ground truth nor a map.imp; give --truth FILE (TUM) or "
             "--relations FILE"
         )
     try:
-        path = None if truth is None else score_path(run, truth, by.how.align, by.how.delta)
-        relations = None if by.relations is None else relation_errors(run.path, by.relations)
+        path = None if truth is None else score_path(run, truth, options.align, options.delta)
+        relations = None if given.relations is None else relation_errors(run.path, given.relations)
     except ImpError as error:
-        raise ImpError(f"{place}: {error}") from None
+        raise ImpError(f"{source}: {error}") from None
     kinds = None
     if known and run.landmarks is not None:
-        kinds = score_kinds(run.landmarks, [*known, *_corners(known)], path, by.how.gate)
+        kinds = score_kinds(run.landmarks, [*known, *_corners(known)], path, options.gate)
     if run.known is None:
-        return Scores(place, run, path, kinds, relations, None, None)
-    seen = score_innovations(run.known.keyframes.innovations)
-    return Scores(place, run, path, kinds, relations, seen, quality(run.known))
+        return Scores(source, run, path, kinds, relations, None, None)
+    innovations = score_innovations(run.known.keyframes.innovations)
+    return Scores(source, run, path, kinds, relations, innovations, quality(run.known))
 
 
 def _corners(known: list[TrueLandmark]) -> list[TrueLandmark]:
-    """Return the corners that true walls imply, unless corners were surveyed."""
+    """Return the corners implied by the true walls, unless corners were surveyed."""
     return [] if any(true.kind == "corner" for true in known) else corners(known)
 
 
-def _show(scores: Mapping[str, Scores], by: Yardsticks) -> None:
-    paths, kinds, relations = _by_yardstick(scores)
+def _show(scores: Mapping[str, Scores], references: References) -> None:
+    options = references.options
+    paths, kinds, relations = _by_kind(scores)
     if paths:
-        show_paths(paths, by.how.align, by.how.delta)
+        show_paths(paths, options.align, options.delta)
     if kinds:
-        show_landmarks(kinds, by.how.gate, _frame(bool(paths), by.how.align))
+        show_landmarks(kinds, options.gate, _alignment_note(bool(paths), options.align))
     if relations:
         show_relations(relations)
-    if seen := {name: score.innovations for name, score in scores.items() if score.innovations}:
-        show_innovations(seen)
-    if own := {name: score.quality for name, score in scores.items() if score.quality}:
-        show_quality(own)
+    if found := {name: score.innovations for name, score in scores.items() if score.innovations}:
+        show_innovations(found)
+    if qualities := {name: score.quality for name, score in scores.items() if score.quality}:
+        show_quality(qualities)
 
 
-def _by_yardstick(
+def _by_kind(
     scores: Mapping[str, Scores],
 ) -> tuple[dict[str, PathScore], dict[str, list[KindScore]], dict[str, RelationErrors]]:
-    """Return the scores by what they are of, of the runs that have them."""
+    """Return the scores of paths, landmarks and relations, each by run."""
     return (
         {name: score.path for name, score in scores.items() if score.path},
         {name: score.kinds for name, score in scores.items() if score.kinds},
@@ -165,18 +170,18 @@ def _by_yardstick(
     )
 
 
-def _frame(has_path: bool, align: Alignment) -> str:
-    """Say where landmarks were compared."""
+def _alignment_note(has_path: bool, align: Alignment) -> str:
+    """Describe how the true landmarks were aligned with the map."""
     if not has_path or align == "none":
-        return "the truth taken to be in map"
-    return "the truth laid in map by the path's " + ("best fit" if align == "fit" else "start")
+        return "assuming that the truth is in the map frame"
+    return "truth aligned with the map by the path's " + ("best fit" if align == "fit" else "start")
 
 
-def _facts(scores: Mapping[str, Scores], by: Yardsticks) -> dict[str, Any]:
-    """Return all numbers, by the runs as they were named."""
+def _facts(scores: Mapping[str, Scores], references: References) -> dict[str, Any]:
+    """Return all numbers, keyed by the runs' paths as given."""
     runs = {}
     for score in scores.values():
-        runs[str(score.place)] = {
+        runs[str(score.source)] = {
             "poses": len(score.run.path),
             "path": path_facts(score.path) if score.path else None,
             "landmarks": kind_facts(score.kinds) if score.kinds else None,
@@ -184,7 +189,8 @@ def _facts(scores: Mapping[str, Scores], by: Yardsticks) -> dict[str, Any]:
             "innovations": score.innovations,
             "quality": score.quality.figures() if score.quality else None,
         }
-    return {"align": by.how.align, "delta_m": by.how.delta, "gate_m": by.how.gate, "runs": runs}
+    how = references.options
+    return {"align": how.align, "delta_m": how.delta, "gate_m": how.gate, "runs": runs}
 
 
 def _draw(scores: Mapping[str, Scores], align: Alignment, output: Path) -> None:
@@ -192,7 +198,7 @@ def _draw(scores: Mapping[str, Scores], align: Alignment, output: Path) -> None:
         draw_comparison,
     )
 
-    paths, _, relations = _by_yardstick(scores)
+    paths, _, relations = _by_kind(scores)
     trajectories = {name: score.run.path for name, score in scores.items()}
     figure = draw_comparison(trajectories, paths, relations, DRAWN[align])
     with written(output, "choose another -o", ConfigError):

@@ -1,4 +1,4 @@
-"""`imp simulate`: the log of a simulated drive in a world, and the truth."""
+"""`imp simulate`: write the log and the ground truth of a simulated drive."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from impslam.cli import console
-from impslam.cli.console import Common, Target
+from impslam.cli.console import Common, RequiredOutput
 from impslam.cli.progress import display, ticker
 from impslam.errors import ConfigError
 
@@ -23,7 +23,7 @@ def simulate(
     world: str,
     /,
     *,
-    output: Target,
+    output: RequiredOutput,
     seed: int = 0,
     robot: Path | None = None,
     settings: Annotated[
@@ -32,29 +32,29 @@ def simulate(
     camera: Path | None = None,
     common: Common | None = None,
 ) -> None:
-    """Drive the simulated robot through a world and write the log, truth included.
+    """Drive a simulated robot through a world and write the log with its ground truth.
 
     Beside LOG.mcap it writes LOG.truth.tum (true poses at the scans' stamps) and LOG.landmarks.csv;
-    with --camera NAME.mp4 the video of an overhead camera, its setup NAME.toml and pictures of a board
-    in NAME.board, for `imp track`.
+    with --camera NAME.mp4 also an overhead camera's video, its setup NAME.toml and pictures of a
+    calibration board in NAME.board, for `imp track`.
 
     Parameters
     ----------
     world
-        A world that comes with the program (arena, room, ...) or a TOML file.
+        A built-in world (see `imp list worlds`) or a TOML file.
     output
-        The log to write, an MCAP file.
+        MCAP file to write the log to.
     seed
-        Seed of all noise; the same seed gives the same bytes.
+        Random seed; the same seed gives identical files.
     robot
-        A TOML file with what differs from the thesis's robot: tables encoders, lidar, imu, camera,
+        A TOML file with differences from the thesis's robot: tables encoders, lidar, imu, camera,
         overhead.
     settings
-        A parameter of the robot: --set lidar.rate=5, --set encoders.track=0.3, --set imu=none; pictures
-        of its own camera with --set camera.rate=5, in 5 MP with camera.width=3648 and camera.height=1368;
-        `imp list simulated-robot` shows them all.
+        Override a parameter of the robot: --set lidar.rate=5, --set encoders.track=0.3, --set imu=none;
+        record its on-board camera with --set camera.rate=5, in 5 MP with camera.width=3648 and
+        camera.height=1368. `imp list simulated-robot` lists all parameters.
     camera
-        The video to write (.mp4, .avi, .mkv) of a camera over the world.
+        Video file (.mp4, .avi, .mkv) to film the drive to with an overhead camera.
     """
     from impslam.evaluation.landmark_files import landmarks_path
     from impslam.simulation.world import load_world
@@ -62,38 +62,38 @@ def simulate(
     quiet = common is not None and common.quiet
     chosen = load_world(world)
     driven = load_robot(robot, settings)
-    with display(quiet) as shown:
-        if camera is not None:  # first, since it refuses worlds that it cannot see
-            film(chosen, driven, camera, seed, shown)
-        scans = write_log(chosen, output, seed, shown, driven)
+    with display(quiet) as progress:
+        if camera is not None:  # first, because it rejects worlds that it cannot film
+            film(chosen, driven, camera, seed, progress)
+        scans = write_log(chosen, output, seed, progress, driven)
     if not quiet:
-        console.say(f"{output}: {scans} scans in world {chosen.name!r}, seed {seed}")
-        console.say(f"truth: {truth_path(output)}, {landmarks_path(output)}")
+        console.echo(f"{output}: {scans} scans in world {chosen.name!r}, seed {seed}")
+        console.echo(f"truth: {truth_path(output)}, {landmarks_path(output)}")
         if camera is not None:
-            console.say(f"video: {camera}; what was measured: {camera.with_suffix('.toml')}")
+            console.echo(f"video: {camera}; camera setup: {camera.with_suffix('.toml')}")
 
 
-def film(world: World, robot: SimulatedRobot, path: Path, seed: int, shown: Any = None) -> None:
-    """Write the video of an overhead camera, and what `imp track` needs to know of it."""
+def film(world: World, robot: SimulatedRobot, path: Path, seed: int, progress: Any = None) -> None:
+    """Write the video of an overhead camera and its setup for `imp track`."""
     from impslam.simulation.drive import drive
     from impslam.simulation.overhead_files import write_film
     from impslam.simulation.scene import Scene
 
-    way = drive(world.robot)
-    tick = ticker(shown, "filming", way.duration)
+    driven = drive(world.robot)
+    tick = ticker(progress, "filming", driven.duration)
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_film(path, robot.overhead, Scene(world), way, robot.start_time, seed, tick)
+    write_film(path, robot.overhead, Scene(world), driven, robot.start_time, seed, tick)
 
 
 def load_robot(file: Path | None = None, settings: Sequence[str] = ()) -> SimulatedRobot:
-    """Return the robot of a TOML file, or the thesis's, with settings "key=value" applied.
+    """Return the robot of a TOML file, or the thesis's robot, with settings "key=value" applied.
 
-    A device that is "none" is left out.
+    The value "none" removes a device.
 
     Raises
     ------
     ConfigError
-        One line that names the parameter and what to do.
+        If a parameter is not valid, or the file cannot be read.
     """
     from pydantic import ValidationError
 
@@ -122,12 +122,12 @@ def _read_table(file: Path) -> dict[str, Any]:
 
 
 def truth_path(log: Path) -> Path:
-    """Return where a log's true poses are."""
+    """Return the path of a log's true poses."""
     return log.with_name(f"{log.stem}.truth.tum")
 
 
 def write_log(
-    world: World, log: Path, seed: int, shown: Any = None, robot: SimulatedRobot | None = None
+    world: World, log: Path, seed: int, progress: Any = None, robot: SimulatedRobot | None = None
 ) -> int:
     """Write a simulated log and its truth; return the number of scans."""
     import numpy as np
@@ -138,9 +138,9 @@ def write_log(
     from impslam.simulation.simulate import simulate as messages
     from impslam.sources.recording import McapWriter
 
-    # Driving takes a moment, so only who watches learns beforehand how long the run will be.
-    duration = 0.0 if shown is None else drive(world.robot).duration
-    tick = ticker(shown, "simulating", duration)
+    # Planning the drive takes time, so its duration is computed only if the progress is shown.
+    duration = 0.0 if progress is None else drive(world.robot).duration
+    tick = ticker(progress, "simulating", duration)
     log.parent.mkdir(parents=True, exist_ok=True)
     with McapWriter(log) as writer:
         truth = list(_recorded(messages(world, robot, seed), writer.write, tick))

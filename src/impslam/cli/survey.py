@@ -1,4 +1,4 @@
-"""Reads a whole log and collects statistics of clocks, scans and motion, and problems."""
+"""Reads a whole log and collects problems and statistics of clocks, scans and motion."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from impslam.sensors.lidar2d import Lidar2D
 from impslam.sources.base import Problems, Source
 from impslam.types import Array, LaserScan, Message
 
-FEWEST = 10
-"""Valid beams with which a scan can be matched."""
-MOSTLY = 0.5
-"""Share of scans with fewer above which a problem is reported."""
+MIN_BEAMS = 10
+"""Number of valid beams that a scan needs to be matched."""
+MAX_POOR_SHARE = 0.5
+"""Share of scans with fewer beams above which a problem is reported."""
 
 
 @dataclass(slots=True)
 class Clock:
-    """The stamps of one type of message."""
+    """Statistics of the stamps of one message type."""
 
     count: int = 0
     first: float = math.nan
@@ -40,7 +40,7 @@ class Clock:
         step = stamp - self._previous
         self.backward += step < 0.0
         self.repeated += step == 0.0
-        self.gap = max(self.gap, step)  # a comparison with nan leaves the gap as it is
+        self.gap = max(self.gap, step)  # unchanged if step is NaN
         self.first, self.last = min(stamp, self.first), max(stamp, self.last)
         if self.count == 0:
             self.first = self.last = stamp
@@ -74,7 +74,7 @@ class Beams:
     poor: int = 0
 
     def add(self, scan: LaserScan, lidar: Lidar2D | None) -> None:
-        """Add a scan, with the limits of the lidar in the config."""
+        """Add a scan; the lidar of the config, if any, decides which beams are valid."""
         n = len(scan.ranges)
         self.counts[n] = self.counts.get(n, 0) + 1
         self.limits = scan.range_min, scan.range_max
@@ -89,7 +89,7 @@ class Beams:
             valid = lidar.scan(scan, np.zeros(3)).valid
         count = int(valid.sum())
         self.total, self.invalid = self.total + n, self.invalid + n - count
-        self.scans, self.poor = self.scans + 1, self.poor + (count < FEWEST)
+        self.scans, self.poor = self.scans + 1, self.poor + (count < MIN_BEAMS)
         if valid.any():
             self.nearest = min(self.nearest, float(scan.ranges[valid].min()))
             self.farthest = max(self.farthest, float(scan.ranges[valid].max()))
@@ -101,14 +101,14 @@ class Beams:
 
 
 class Survey:
-    """Reads every message of a log once, without keeping messages.
+    """Reads every message of a log once and keeps only statistics.
 
     Attributes
     ----------
-    clocks, beams : of the messages by type, and of the scans
-    way, rotation : m and rad of odometry, added up from scan to scan
-    problems, unused : what is wrong with the log as a whole, and rows that mapping would not use
-    findings : what the data show to be other than the config says
+    clocks, beams : statistics of the stamps by message type, and of the scans
+    distance, rotation : sums of the odometry's motions from scan to scan, m and rad
+    problems, unused : problems with the log as a whole, and with rows that mapping would not use
+    findings : where the data contradict the config
     """
 
     def __init__(self, config: Config) -> None:
@@ -117,7 +117,7 @@ class Survey:
         self.findings: list[Finding] = []
         self.clocks: dict[str, Clock] = {}
         self.beams = Beams()
-        self.way = self.rotation = 0.0
+        self.distance = self.rotation = 0.0
         self.problems = Problems()
 
     def read(self, source: Source) -> Iterator[float]:
@@ -131,7 +131,7 @@ class Survey:
                 yield message.stamp
         self._add_motions(self._robot.flush())
         self._add_steps(self._robot.ahead().d_pose[None])
-        self._judge()
+        self._check_log()
         self.findings = diagnose(self._config, self._head.batches, source.defaults())
 
     @property
@@ -146,51 +146,51 @@ class Survey:
             self.beams.add(message, next(lidars, None))
 
     def _add_motions(self, sensed: Iterable[tuple[Motions, Sweeps]]) -> None:
-        """Add the motions from scan to scan: odometry that trembles in between is no way."""
+        """Add the motions from scan to scan, so that odometry jitter in between is not counted."""
         for motions, _ in sensed:
             self._add_steps(motions.d_pose)
 
     def _add_steps(self, steps: Array) -> None:
-        self.way += float(np.hypot(steps[:, 0], steps[:, 1]).sum())
+        self.distance += float(np.hypot(steps[:, 0], steps[:, 1]).sum())
         self.rotation += float(np.abs(steps[:, 2]).sum())
 
-    def _judge(self) -> None:
+    def _check_log(self) -> None:
         """Record problems of the log as a whole."""
-        wanted = self._robot.odometry.consumes.__name__
-        name, motion = self._seen(), self.clocks.get(wanted)
+        needed = self._robot.odometry.consumes.__name__
+        name, motion = self._sensor_name(), self.clocks.get(needed)
         if name is None:
             self.problems.add(
                 "no scan",
-                f"the log contains no {self._wanted()} for mapping: record it, or name its topic with "
+                f"the log contains no {self._scan_types()} for mapping: record it, or name its topic with "
                 "--topic scan=NAME",
             )
         if motion is None:
-            self.problems.add("no odometry", self._no_odometry(wanted))
+            self.problems.add("no odometry", self._no_odometry(needed))
         if name is not None and motion is not None:
-            self._judge_clocks(name, motion)
-        if self.beams.poor > MOSTLY * self.beams.scans:
+            self._check_clocks(name, motion)
+        if self.beams.poor > MAX_POOR_SHARE * self.beams.scans:
             self.problems.add(
                 "few valid beams",
-                f"{self.beams.poor} of {self.beams.scans} scans have fewer than {FEWEST} valid ranges: "
+                f"{self.beams.poor} of {self.beams.scans} scans have fewer than {MIN_BEAMS} valid ranges: "
                 f"check the lidar, or sensors.{name}.range_min and range_max",
             )
 
-    def _seen(self) -> str | None:
-        """Return the name of the robot's first sensor that has messages in the log."""
+    def _sensor_name(self) -> str | None:
+        """Return the name of the robot's first sensor with messages in the log."""
         sensors = self._robot.sensors.items()
         return next((n for n, s in sensors if s.consumes.__name__ in self.clocks), None)
 
-    def _wanted(self) -> str:
+    def _scan_types(self) -> str:
         return " or ".join(sensor.consumes.__name__ for sensor in self._robot.sensors.values())
 
-    def _no_odometry(self, wanted: str) -> str:
+    def _no_odometry(self, needed: str) -> str:
         kind = self._robot.odometry.name
         others = {"OdometryPose": "odometry_pose", "WheelAngles": "encoders"}
         fix = next((k for name, k in others.items() if name in self.clocks), None)
-        there = f"choose --set odometry.kind={fix}" if fix else "record wheel angles or odometry"
-        return f"odometry {kind!r} needs {wanted}, and the log contains none: {there}"
+        advice = f"use --set odometry.kind={fix}" if fix else "record wheel angles or odometry"
+        return f"odometry {kind!r} needs {needed}, but the log contains none: {advice}"
 
-    def _judge_clocks(self, name: str, motion: Clock) -> None:
+    def _check_clocks(self, name: str, motion: Clock) -> None:
         sensor = self._robot.sensors[name]
         scans, latency = self.clocks[sensor.consumes.__name__], getattr(sensor, "latency", 0.0)
         if scans.last - latency < motion.first or scans.first - latency > motion.last:

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from impslam.sweeps.rows import Row
 
 PICTURE = "errors.png"
-SHOWN = 5
-"""Failed runs that are printed."""
+MAX_FAILURES_SHOWN = 5
+"""Number of failed runs that are printed."""
 
 Configs = Annotated[
     tuple[str, ...],
@@ -41,13 +41,13 @@ Alternatives = Annotated[
         name="--set",
         negative="",
         show_default=False,
-        help="Values to try of a parameter: --set filter.kind=ekf,riekf. Several: every combination.",
+        help="Values of a parameter to try: --set filter.kind=ekf,riekf. Repeat for all combinations.",
     ),
 ]
 Files = Annotated[tuple[str, ...], Parameter(negative="", show_default=False)]
 Scheduler = Annotated[
     str | None,
-    Parameter(help="Work on a Dask cluster: the address of its scheduler, tcp://HOST:8786."),
+    Parameter(help="Run on a Dask cluster, given its scheduler's address: tcp://HOST:8786."),
 ]
 
 
@@ -63,23 +63,23 @@ def sweep(  # noqa: PLR0913  # each is an option that a user may give
     output: Output = None,
     common: Common | None = None,
 ) -> None:
-    """Map logs with configs, settings and seeds, and write one table with a row for each run.
+    """Map all combinations of logs, configs, settings and seeds, and write a table with a row per run.
 
-    The folder holds runs.csv, runs.parquet, runs.jsonl (the rows as they come) and errors.png. A run
-    that fails is a row. A sweep into the folder of an earlier one runs what is missing there.
+    The folder contains runs.csv, runs.parquet, runs.jsonl (the rows in order of completion) and
+    errors.png. Failed runs have a row, too. In the folder of an earlier sweep, only missing runs are run.
 
     Parameters
     ----------
     logs
         Logs, or worlds (arena, room, ..., or a TOML file) in which a drive is simulated for each seed.
     seeds
-        Seeds 0, 1, ... of each run.
+        Number of seeds (0, 1, ...) of each run.
     truth
-        The true path of a log, as a TUM file: --truth FILE, or LOG=FILE where there are several logs.
+        TUM file of a log's true path: --truth FILE, or LOG=FILE if there are several logs.
     relations
-        A relation file of the SLAM benchmarking suite: --relations FILE, or LOG=FILE.
+        Relation file of the SLAM benchmarking suite: --relations FILE, or LOG=FILE.
     output
-        The folder to write to, or that of a sweep to continue. Default: runs/sweep-DATE-TIME.
+        Folder for the results, or that of a sweep to continue. Default: runs/sweep-DATE-TIME.
     """
     from impslam.sweeps.cases import alternatives, cases
     from impslam.sweeps.journal import Journal
@@ -92,74 +92,76 @@ def sweep(  # noqa: PLR0913  # each is an option that a user may give
     pool = make_pool(jobs, scheduler)
     folder = output or make_folder(Path("runs"), f"sweep-{time.strftime('%Y%m%d-%H%M%S')}")
     journal = Journal(folder)
-    left = [case for case in todo if not journal.has(case.row())]
-    if not quiet and len(left) < len(todo):
-        console.say(f"{len(todo) - len(left)} of {len(todo)} runs are done already")
+    remaining = [case for case in todo if not journal.has(case.row())]
+    if not quiet and len(remaining) < len(todo):
+        console.echo(f"{len(todo) - len(remaining)} of {len(todo)} runs are already done")
     try:
-        _run(left, pool, journal, quiet)
+        _run(remaining, pool, journal, quiet)
     finally:
         files = write(folder, journal.rows()) if journal.rows() else []
     if not quiet:
         show_errors(journal.rows())
-        console.say(f"table: {', '.join(map(str, files))}")
+        console.echo(f"table: {', '.join(map(str, files))}")
 
 
 def find_logs(
     names: Sequence[str], truth: Sequence[str] = (), relations: Sequence[str] = ()
 ) -> list[Log]:
-    """Return the logs of the command line, with the files that they are scored against."""
+    """Return the logs named on the command line, with the files to score them against."""
     from impslam.sweeps.cases import find_log
 
     if not names:
         raise ConfigError("no log given; name logs, or worlds such as arena")
-    known = _of_logs("--truth", truth, names), _of_logs("--relations", relations, names)
-    return [find_log(name, *(files.get(name) for files in known)) for name in dict.fromkeys(names)]
+    references = _by_log("--truth", truth, names), _by_log("--relations", relations, names)
+    return [
+        find_log(name, *(files.get(name) for files in references)) for name in dict.fromkeys(names)
+    ]
 
 
-def _of_logs(option: str, files: Sequence[str], logs: Sequence[str]) -> dict[str, str]:
+def _by_log(option: str, files: Sequence[str], logs: Sequence[str]) -> dict[str, str]:
     """Return the file of each log from "FILE" or "LOG=FILE"; LOG is a log as given, or its file's stem."""
     found = {}
     for word in files:
         name, equals, file = word.rpartition("=")
         if not equals and len(logs) > 1:
-            raise ConfigError(f"{option} {word}: is of which log? write LOG={word}")
-        meant = [log for log in logs if not equals or name in (log, Path(log).name.split(".")[0])]
-        if len(meant) != 1:
+            raise ConfigError(f"{option} {word}: does not name its log; write LOG={word}")
+        matches = [log for log in logs if not equals or name in (log, Path(log).name.split(".")[0])]
+        if len(matches) != 1:
             raise ConfigError(f"{option} {word}: {name} is not one of the logs {', '.join(logs)}")
-        found[meant[0]] = file
+        found[matches[0]] = file
     return found
 
 
 def make_pool(jobs: int | None, scheduler: str | None) -> Pool:
-    """Return the processes of the options --jobs and --scheduler."""
+    """Return the pool that the options --jobs and --scheduler ask for."""
     from impslam.sweeps.cluster import Cluster
     from impslam.sweeps.pool import Processes
 
     if jobs is not None and jobs < 1:
         raise ConfigError(f"--jobs {jobs}: must be at least 1")
     if scheduler is not None and jobs is not None:
-        raise ConfigError("--jobs and --scheduler: give one; the workers of a cluster are its own")
+        raise ConfigError("--jobs and --scheduler: give only one; a cluster has its own workers")
     return Processes(jobs or os.cpu_count() or 1) if scheduler is None else Cluster(scheduler)
 
 
-def _run(left: Sequence[Case], pool: Pool, journal: Journal, quiet: bool) -> None:
-    """Run cases and keep their rows as they come."""
+def _run(cases: Sequence[Case], pool: Pool, journal: Journal, quiet: bool) -> None:
+    """Run cases and write their rows to the journal as they complete."""
     from impslam.cli.interruption import Interruption
     from impslam.cli.progress import StageBars, display
     from impslam.sweeps.measures import run_case
     from impslam.sweeps.pool import ProcessDied
 
-    with Interruption(), display(quiet) as shown:
-        bars = StageBars(shown, "sweep")
-        bars("runs", 0, len(left))
-        for done, (index, result) in enumerate(pool.each(run_case, left), start=1):
-            run = left[index].row()
+    with Interruption(), display(quiet) as progress:
+        bars = StageBars(progress, "sweep")
+        bars("runs", 0, len(cases))
+        for done, (index, result) in enumerate(pool.each(run_case, cases), start=1):
+            run = cases[index].row()
             journal.add({**run, "error": result.why} if isinstance(result, ProcessDied) else result)
-            bars("runs", done, len(left))
+            bars("runs", done, len(cases))
 
 
 def write(folder: Path, rows: Sequence[Row]) -> list[Path]:
-    """Write the table, and the picture if any run has an error to show; return the files."""
+    """Write the table, and the picture if the errors of any run are known; return the files."""
     from impslam.sweeps.plot import draw_sweep
     from impslam.sweeps.table import write_table
     from impslam.sweeps.verdict import by_log, measure_of
@@ -172,7 +174,7 @@ def write(folder: Path, rows: Sequence[Row]) -> list[Path]:
 
 
 def show_errors(rows: Sequence[Row]) -> None:
-    """Print the errors of each log by variant, and why runs failed."""
+    """Print the errors of each log by variant, and the reasons of failed runs."""
     from impslam.sweeps.statistics import MEDIAN_95, Quantiles
     from impslam.sweeps.verdict import MEASURES, by_log, measure_of, values_of, variant_name
 
@@ -183,15 +185,15 @@ def show_errors(rows: Sequence[Row]) -> None:
             values = values_of(runs, measure) if measure else []
             spread = str(Quantiles.of(100.0 * value for value in values)) if values else "-"
             seconds = f"{median(run['cpu_s'] for run in runs):.2f}"
-            what = MEASURES.get(measure, "nothing known")
-            cells.append((Path(log).name, variant, what, str(len(runs)), spread, seconds))
+            name = MEASURES.get(measure, "nothing known")
+            cells.append((Path(log).name, variant, name, str(len(runs)), spread, seconds))
     if cells:
         header = ("log", "config and settings", "error, cm", "runs", MEDIAN_95, "CPU s")
         console.show_table(header, cells, numbers=3)
     failed = [row for row in rows if row["error"]]
-    for row in failed[:SHOWN]:
-        console.say(
+    for row in failed[:MAX_FAILURES_SHOWN]:
+        console.echo(
             f"failed: {row['log']}, {variant_name(row)}, seed {row['seed']}: {row['error']}"
         )
-    if len(failed) > SHOWN:
-        console.say(f"failed: {len(failed) - SHOWN} more; see the column message")
+    if len(failed) > MAX_FAILURES_SHOWN:
+        console.echo(f"failed: {len(failed) - MAX_FAILURES_SHOWN} more; see the column message")

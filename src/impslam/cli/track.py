@@ -1,4 +1,4 @@
-"""`imp track`: the robot's true path from the video of an overhead camera."""
+"""`imp track`: the robot's true path from an overhead camera's video."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from impslam.cli import console
-from impslam.cli.console import Common, Target
+from impslam.cli.console import Common, RequiredOutput
 from impslam.cli.progress import display
 from impslam.errors import ConfigError
 
@@ -21,60 +21,60 @@ def track(
     video: Path,
     /,
     *,
-    output: Target,
+    output: RequiredOutput,
     setup: Path | None = None,
     start: float | None = None,
     common: Common | None = None,
 ) -> None:
-    """Follow the marker on a robot in a video, and write its path with covariances.
+    """Track the marker on a robot in a video, and write its path with covariances.
 
     Beside TRUTH.tum it writes TRUTH.csv (poses with covariances), TRUTH.landmarks.csv (cylinders with
-    discs) and TRUTH.png (the track over the scene). Pictures without the marker have no pose.
+    discs) and TRUTH.png (the track over the scene). Frames without the marker have no pose.
 
     Parameters
     ----------
     video
-        What the camera saw; any format that ffmpeg reads.
+        Video of the overhead camera, in any format that ffmpeg reads.
     output
-        The path to write, a TUM file.
+        TUM file to write the path to.
     setup
-        What was measured: board, floor, marker, discs. Default: the TOML file beside the video.
+        TOML file of measurements: board, floor, marker, discs. Default: the one beside the video.
     start
-        Stamp of the first picture on the robot's clock, s. Default: that of the setup.
+        Time of the first frame on the robot's clock, s. Default: that of the setup.
     """
     from impslam.overhead.setup import load_setup
-    from impslam.overhead.track import track as follow
+    from impslam.overhead.track import track as track_marker
 
     quiet = common is not None and common.quiet
     if output.suffix.lower() != ".tum":
-        raise ConfigError(f"{output}: is written as a TUM file; give -o NAME.tum")
+        raise ConfigError(f"{output}: the path is written as a TUM file; give -o NAME.tum")
     if not video.is_file():
         raise ConfigError(f"{video}: no such video; check the path")
-    place = setup or video.with_suffix(".toml")
-    known = load_setup(place)
+    setup_file = setup or video.with_suffix(".toml")
+    loaded = load_setup(setup_file)
     if start is not None:
-        known = known.model_copy(update={"start": start})
-    with display(quiet) as shown:
-        tracked = follow(video, known, place.parent, _bars(shown))
-    _write(output, tracked, known)
+        loaded = loaded.model_copy(update={"start": start})
+    with display(quiet) as progress:
+        tracked = track_marker(video, loaded, setup_file.parent, _stage_progress(progress))
+    _write(output, tracked, loaded)
     if not quiet:
-        _show(tracked, known)
-        console.say(f"truth: {output}, {output.with_suffix('.csv')}")
-        console.say(f"picture: {output.with_suffix('.png')}")
+        _show(tracked, loaded)
+        console.echo(f"truth: {output}, {output.with_suffix('.csv')}")
+        console.echo(f"picture: {output.with_suffix('.png')}")
 
 
-def _bars(shown: Any) -> Any:
-    """Return what shows the progress of each stage."""
+def _stage_progress(progress: Any) -> Any:
+    """Return a callback that shows the progress of each stage."""
     tasks: dict[str, Any] = {}
 
-    def progress(stage: str, done: int, total: int) -> None:
-        if shown is None:
+    def show(stage: str, done: int, total: int) -> None:
+        if progress is None:
             return
         if stage not in tasks:
-            tasks[stage] = shown.add_task(f"finding the {stage}", total=total)
-        shown.update(tasks[stage], completed=done)
+            tasks[stage] = progress.add_task(f"finding the {stage}", total=total)
+        progress.update(tasks[stage], completed=done)
 
-    return progress
+    return show
 
 
 def _write(output: Path, tracked: Tracked, setup: Setup) -> None:
@@ -101,11 +101,11 @@ def _write(output: Path, tracked: Tracked, setup: Setup) -> None:
 
 
 def _show(tracked: Tracked, setup: Setup) -> None:
-    """Print what was found, how sure it is, and what was not."""
+    """Print what was found, its uncertainty, and what was not found."""
     import numpy as np
 
     calibration, found = tracked.calibration, tracked.found
-    place, shared = (
+    position, shared = (
         1e3 * float(np.sqrt(np.median(np.trace(c[:, :2, :2], axis1=1, axis2=2))))
         for c in (found.covariances, found.shared)
     )
@@ -116,11 +116,11 @@ def _show(tracked: Tracked, setup: Setup) -> None:
         "poses": f"{len(tracked.stamps)}",
         "hidden": _times(tracked.hidden),
         "unfit": _times(tracked.unfit),
-        "lens": lens if calibration.views else "from the measured points alone",
+        "lens": lens if calibration.views else "from the measured points only",
         "floor": f"{calibration.ground_rms:.2f} px from {points} points",
         "corners": f"{found.sigma:.2f} px",
-        "error of a place": f"{place:.1f} mm, of which calibration and height {shared:.1f} mm",
-        "error of a heading": f"{heading:.2f} deg",
+        "position error": f"{position:.1f} mm, of which calibration and height {shared:.1f} mm",
+        "heading error": f"{heading:.2f} deg",
     }
     if tracked.unseen:
         facts["floor"] += f"; not seen: {', '.join(map(str, tracked.unseen))}"
@@ -128,24 +128,24 @@ def _show(tracked: Tracked, setup: Setup) -> None:
     for number, cylinder in enumerate(tracked.cylinders, 1):
         x, y = cylinder.centre
         sigma = 1e3 * float(np.sqrt(np.trace(cylinder.covariance)))
-        console.say(
+        console.echo(
             f"cylinder {number}: x {x:.3f}  y {y:.3f}  radius {cylinder.radius:.3f} m, +- {sigma:.1f} mm"
         )
 
 
 def _times(stamps: Array) -> str:
-    """Say in how many pictures, and when."""
+    """Describe in how many frames, and when."""
     if not len(stamps):
         return "none"
-    return f"{len(stamps)} pictures: {', '.join(_spans(stamps.tolist()))}"
+    return f"{len(stamps)} frames: {', '.join(_spans(stamps.tolist()))}"
 
 
 def _spans(stamps: Sequence[float], gap: float = 1.0) -> list[str]:
-    """Return stamps as spans, of which those less than a second apart are one."""
+    """Return stamps as time spans, joined over gaps of up to `gap` seconds."""
     spans = [[stamps[0], stamps[0]]]
     for stamp in stamps[1:]:
         if stamp - spans[-1][1] > gap:
             spans.append([stamp, stamp])
         spans[-1][1] = stamp
-    said = [f"{a:.2f} s" if a == b else f"{a:.2f} to {b:.2f} s" for a, b in spans]
-    return said if len(said) <= 5 else [*said[:4], "..."]
+    texts = [f"{a:.2f} s" if a == b else f"{a:.2f} to {b:.2f} s" for a, b in spans]
+    return texts if len(texts) <= 5 else [*texts[:4], "..."]

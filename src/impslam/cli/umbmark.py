@@ -20,12 +20,12 @@ if TYPE_CHECKING:
 def show_squares(
     logs: Sequence[Path], base: str | None, settings: Sequence[str], side: float, quiet: bool
 ) -> tuple[Config, dict[str, Any], list[str]]:
-    """Print what squares tell; return the config, what is laid over it, and its first lines.
+    """Calibrate from squares; print the result and return it, as `calibrate.Result`.
 
     Raises
     ------
     ConfigError
-        If there are no squares in both directions, or the robot counts no wheels.
+        If the squares do not turn both ways, or the robot has no wheel encoders.
     SourceError
         If a log does not end where it began.
     """
@@ -63,7 +63,7 @@ def _read(
         config, source = open_log(log, base, settings)
         odometry, (_, lidar) = config.make_robot().odometry, first_lidar(config)
         if not isinstance(odometry, Encoders):
-            raise ConfigError("--square: needs wheels; set odometry.kind=encoders")
+            raise ConfigError("--square: needs wheel encoders; set odometry.kind=encoders")
         values = np.array([odometry.wheel_radius, odometry.right_left_ratio, odometry.track])
         recording = record(config, source)
         square = measure_square(
@@ -71,7 +71,7 @@ def _read(
         )
         if square is None:
             raise SourceError(
-                f"{log}: its last scan does not show where it began; end at the start"
+                f"{log}: the last scan does not match the first; end the drive where it began"
             )
         squares.append(square)
         configs.append(config)
@@ -84,12 +84,12 @@ def _show(found: Umbmark, squares: Sequence[Square], values: Any, new: Any) -> N
         for k, one in enumerate(squares)
     ]
     console.show_table(("square", "turns", "x, mm", "y, mm"), rows, numbers=2)
-    console.say("return: true minus odometry, x along the first side\n")
+    console.echo("return: true minus odometry, x along the first side\n")
     console.show_facts(
         {
             "E_max,syst": f"{1000 * found.error:.1f} mm",
             "E_d (right / left diameter)": f"{found.diameters:.5f}",
-            "E_b (true / present track)": f"{found.track:.5f}",
+            "E_b (true / current track)": f"{found.track:.5f}",
             "wheel_radius": f"{values[0]:.5f} -> {new[0]:.5f} m",
             "right_left_ratio": f"{values[1]:.5f} -> {new[1]:.5f}",
             "track": f"{values[2]:.4f} -> {new[2]:.4f} m",

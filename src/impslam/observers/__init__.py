@@ -1,1 +1,1 @@
-"""What looks at a run: recorder, plots."""
+"""Observers of a run: recorder, live view, report and exports."""

@@ -1,4 +1,4 @@
-"""The role of an observer: it receives the tracks, revisions and map of a run, and changes none."""
+"""The role of an observer: it receives the tracks, revisions and map of a run, and must not change them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from impslam.types import Array, TruePose
 
 @dataclass(frozen=True, slots=True)
 class Dropped:
-    """One kind of problem: its count and first example (what, where, what to do)."""
+    """A kind of problem: its count and first example (what, where, what to do)."""
 
     count: int
     example: str
@@ -29,16 +29,16 @@ class Outcome:
     log : path of the log as given by the user
     log_sha256 : its hash (of all files, for a folder)
     config : the resolved config as nested plain values
-    counts : messages by type, scans, landmarks, loops tried and closed where the estimator seeks them
+    counts : messages by type, scans, landmarks, and loops tried and closed if the estimator closes loops
     dropped : unused data by kind of problem
     stages : durations in s by stage ("sense", "track", "look", "estimate", and once "settle")
-    log_seconds : from the first to the last message in use, corrected for clocks that were set
-    wall_seconds : duration of the run
-    compile_seconds : how much of it went into compiling, which the very first run of a version does
+    log_seconds : from the first to the last used message, corrected for clocks that were set
+    wall_seconds : duration of the run, s
+    compile_seconds : part of it spent compiling, in the first run of a version
     state_size : number of scalars in the filter state at the end
-    health : whether the pose can be trusted, scan by scan
+    health : whether the pose can be trusted, for each scan
     lidar_alone : whether the run had no odometry
-    partial : why the run is not whole and where in the log it ended, "" for a whole one
+    partial : why the run is incomplete and where in the log it ended, "" if it is complete
     """
 
     log: Path
@@ -63,13 +63,13 @@ class Observer:
     """
 
     def follow(self, track: Track, path: PathRows) -> None:
-        """Receive a track, and the current estimate of its sweeps' poses in map."""
+        """Receive a track and the current estimate of its sweeps' poses in map."""
 
     def revise(self, keyframe: Keyframe, revision: Revision, path: PathRows) -> None:
-        """Receive the revision by a keyframe, and the pose at the keyframe's stamp (one row)."""
+        """Receive a keyframe, its revision, and the pose at the keyframe's stamp (one row)."""
 
     def truth(self, pose: TruePose) -> None:
-        """Receive a true pose, if the log contains it; the estimator never does."""
+        """Receive a true pose from the log; the estimator never does."""
 
     def finish(self, known: Map, outcome: Outcome) -> None:
-        """Receive the map at the end of the run, also of one that ended early (`outcome.partial`)."""
+        """Receive the map at the end of the run, even if it ended early (`outcome.partial`)."""

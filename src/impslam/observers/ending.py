@@ -1,26 +1,26 @@
-"""The end of a run: its map, its outcome, and the true pose where the path ends."""
+"""The end of a run: its map, its outcome, and the last estimated and true poses."""
 
 from __future__ import annotations
 
 from impslam.map import Map
 from impslam.observers.base import Outcome
-from impslam.observers.recorder import Truth
+from impslam.observers.recorder import TruthRecorder
 from impslam.types import Array
 
 
-class EndOfRun(Truth):
-    """Keeps the map, and tells the last pose and the true one at its stamp."""
+class EndOfRun(TruthRecorder):
+    """Keeps the map and outcome of a run, and the true pose at the last stamp."""
 
     known: Map | None = None
     outcome: Outcome | None = None
 
     def finish(self, known: Map, outcome: Outcome) -> None:
-        """Keep the map."""
+        """Keep the map and the outcome."""
         self.known, self.outcome = known, outcome
 
     @property
     def pose(self) -> Array | None:
-        """The last pose (3,), None before the end of the run."""
+        """The last pose (3,); None before the end of the run."""
         return None if self.known is None else self.known.path()[-1, 1:]
 
     @property
@@ -30,8 +30,8 @@ class EndOfRun(Truth):
 
     @property
     def true(self) -> Array | None:
-        """The true pose (3,) at the last scan's stamp, if the log tells it."""
+        """The true pose (3,) at the last scan's stamp, if the log contains it."""
         if self.known is None:
             return None
-        at = self.path[self.path[:, 0] == self.known.stamps[-1]]
-        return at[-1, 1:] if len(at) else None
+        rows = self.path[self.path[:, 0] == self.known.stamps[-1]]
+        return rows[-1, 1:] if len(rows) else None

@@ -1,4 +1,4 @@
-"""The occupancy grid as a picture that a browser lays over a map."""
+"""The occupancy grid as a picture for a map in the browser."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from impslam.observers.canvas import png
 from impslam.types import Array
 
 COLOURS: npt.NDArray[np.uint8] = np.zeros((256, 4), np.uint8)
-"""Blue, green, red and opacity for each grey of a trinary map; what nobody has seen is clear."""
+"""Blue, green, red and opacity for each grey of a trinary map; unknown cells are transparent."""
 COLOURS[FREE] = 255, 255, 255, 255
 COLOURS[OCCUPIED] = 0x4D, 0x42, 0x37, 255
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GridPicture:
-    """The occupancy grid as a PNG with row 0 at the top; what nobody has seen is transparent.
+    """The occupancy grid as a PNG with row 0 at the top; unknown cells are transparent.
 
     Attributes
     ----------
     png : the file's bytes
-    version : counts up with each new picture, over all maps of a view
-    origin : (2,) m in map, the lower-left corner of the picture
-    resolution : m, side of a pixel
+    version : number of the picture, counted over all maps of a view
+    origin : (2,) lower-left corner of the picture in map, m
+    resolution : side of a pixel, m
     size : columns and rows
     """
 
@@ -40,7 +40,7 @@ class GridPicture:
 
 
 def paint(grid: OccupancyGrid, version: int) -> GridPicture:
-    """Return a grid's picture, cut to what is known; the same greys as map.pgm."""
+    """Return a grid's picture, cropped to the known cells, in the greys of map.pgm."""
     image = map_image(grid)
     rows, columns = image.pixels.shape
     data = png(COLOURS[image.pixels])
@@ -48,15 +48,15 @@ def paint(grid: OccupancyGrid, version: int) -> GridPicture:
 
 
 def occupancy(image: MapImage) -> npt.NDArray[np.int8]:
-    """Return the cells as nav_msgs/OccupancyGrid has them: 0 free, 100 occupied, -1 unknown."""
+    """Return the cells with the values of nav_msgs/OccupancyGrid: 0 free, 100 occupied, -1 unknown."""
     values = np.full(256, -1, np.int8)
     values[FREE], values[OCCUPIED] = 0, 100
     return np.asarray(values[image.pixels])
 
 
-def coarsened(image: MapImage, most: int) -> MapImage:
-    """Return a grid of so many cells at most; a coarser one is occupied where any of its cells is."""
-    step = math.ceil(math.sqrt(image.pixels.size / most))
+def coarsened(image: MapImage, max_cells: int) -> MapImage:
+    """Return a grid of at most `max_cells` cells; a coarse cell is occupied if any of its cells is."""
+    step = math.ceil(math.sqrt(image.pixels.size / max_cells))
     if step <= 1:
         return image
     rows, columns = (math.ceil(side / step) for side in image.pixels.shape)

@@ -1,4 +1,4 @@
-"""Records of every scan whether its pose can be trusted, and why not."""
+"""Records for every scan whether its pose can be trusted, and why not."""
 
 from __future__ import annotations
 
@@ -27,29 +27,29 @@ from impslam.observers.base import Observer
 from impslam.observers.landmark_watch import LandmarkWatch, is_located
 from impslam.types import Array, Mask
 
-UNCERTAIN = 0.25
-"""m, 1 sigma: beyond this a landmark in a room may be mistaken for another one, because landmarks are
-0.5 m or more apart."""
+MAX_GROWTH = 0.25
+"""Growth of the position's standard deviation, m, beyond which landmarks in a room may be confused:
+they are 0.5 m or more apart."""
 
 
 class HealthMonitor(Observer):
-    """Joins what the tracker tells of each scan with what the estimate tells.
+    """Combines the health that the tracker reports for each scan with that of the estimate.
 
-    The estimate tells that it is not finite, that the position uncertainty has grown by more than
-    `UNCERTAIN` since the last match (of a landmark, of a scan with a map, or of a place), or that a scan
+    The estimate is unhealthy if it is not finite, if the position uncertainty has grown by more than
+    `MAX_GROWTH` since the last match (of a landmark, of a scan with a map, or of a place), or if the scan
     has no valid beam. The growth counts, not the uncertainty itself, which is large far from the start;
-    a robot that stands still may see no landmark for long. A robot that is lost stays so until a place
-    is recognised, and so does one of which it is not known yet where in the map it is. What
-    `LandmarkWatch` tells of a keyframe holds until the next one. `standing` is what was found to be wrong
-    with all of the run before it began; it is told where nothing worse is.
+    a stationary robot may see no landmark for long. A robot that is lost, or whose place in the map is
+    not known yet, stays so until a place is recognised. A reason given by `LandmarkWatch` for a keyframe
+    holds until the next keyframe. `standing` is a problem with the whole run, found before it began; it
+    is reported for scans without a worse reason.
     """
 
     def __init__(self, standing: Standing = SOUND) -> None:
         self._standing = standing
-        # x, y of the last pose, way since a match, variance there; reason and amount that last
+        # x, y of the last pose, distance since a match, variance there; lasting reason and its amount
         self._carried = np.zeros(6)
         self._fresh = True  # no pose yet, or landmarks were recognised
-        self._driven = 0.0  # variance in m^2 of the motion since landmarks told the position
+        self._drift = 0.0  # variance of the motion since landmarks determined the position, m^2
         self._landmarks = LandmarkWatch()
         self._stamps, self._amounts = GrowingArray(), GrowingArray()
         self._reasons = GrowingArray(dtype=np.int8)
@@ -61,7 +61,7 @@ class HealthMonitor(Observer):
 
     @property
     def newest(self) -> tuple[int, str]:
-        """The reason of the newest scan, and its words."""
+        """The reason of the newest scan, as a code and in words."""
         if not len(self._reasons):
             return NONE, ""
         reason = int(self._reasons.array[-1])
@@ -80,15 +80,15 @@ class HealthMonitor(Observer):
         """Record the scan of a keyframe."""
         lost, placed = self._carried[4:], bool(np.ravel(revision.placed)[-1])
         recognised = len(revision.ids) > 1  # a place is known
-        self._driven += keyframe.motion.covariance[0, 0] + keyframe.motion.covariance[1, 1]
-        if self._is_sure(keyframe, revision, path):
-            self._fresh, self._driven = True, 0.0
+        self._drift += keyframe.motion.covariance[0, 0] + keyframe.motion.covariance[1, 1]
+        if self._is_located(keyframe, revision, path):
+            self._fresh, self._drift = True, 0.0
         self._fresh |= recognised
         if (revision.matches or recognised) and placed and lost[0] >= ELSEWHERE:
             lost[0] = NONE
-        told = self._landmarks.revise(keyframe, revision)
+        reason_amount = self._landmarks.revise(keyframe, revision)
         if lost[0] < ELSEWHERE:
-            lost[:] = told
+            lost[:] = reason_amount
         if revision.assumed and lost[0] < ASSUMED:
             lost[:] = ASSUMED, 0.0
         if not placed and lost[0] < ELSEWHERE:
@@ -102,22 +102,22 @@ class HealthMonitor(Observer):
             np.array([keyframe.located]),
         )
 
-    def _is_sure(self, keyframe: Keyframe, revision: Revision, path: PathRows) -> bool:
-        """Tell whether the landmarks tell the position, and have made up for what it had grown unsure by.
+    def _is_located(self, keyframe: Keyframe, revision: Revision, path: PathRows) -> bool:
+        """Return whether the matched landmarks determine the position and undo its uncertainty's growth.
 
-        Those that are new since say nothing of that.
+        Landmarks added since do not undo it.
         """
         variance = path.covariances[0, 0, 0] + path.covariances[0, 1, 1]
-        unsure = min(self._driven, variance - self._carried[3]) > UNCERTAIN**2
+        has_grown = min(self._drift, variance - self._carried[3]) > MAX_GROWTH**2
         seen = (keyframe.observations[match.observation] for match in revision.matches)
-        return not unsure and is_located(seen)
+        return not has_grown and is_located(seen)
 
     def _record(
         self, path: PathRows, seen: Mask, reasons: Reasons, amounts: Array, fresh: Mask
     ) -> None:
         fresh[:1] |= self._fresh
         self._fresh = False
-        _judge(self._carried, fresh, path.poses, path.covariances, seen, reasons, amounts)
+        _apply_worse(self._carried, fresh, path.poses, path.covariances, seen, reasons, amounts)
         better = reasons < self._standing.reason
         reasons[better], amounts[better] = self._standing
         m = len(reasons)
@@ -127,7 +127,7 @@ class HealthMonitor(Observer):
 
 
 @kernel
-def _judge(
+def _apply_worse(
     carried: Array,
     fresh: Mask,
     poses: Array,
@@ -136,11 +136,10 @@ def _judge(
     reasons: Reasons,
     amounts: Array,
 ) -> None:
-    """Put in place of the tracker's m reasons (m,) and amounts (m,) what is worse.
+    """Replace the tracker's reasons (m,) and amounts (m,) by worse ones of the estimate, in place.
 
-    carried (6,) is x, y of the last pose, the way since the last match, the variance there, and the reason
-    and the amount of what lasts: a robot is lost until it is found. fresh (m,): which poses are those of a
-    match; seen (m,): which scans have a valid beam.
+    carried (6,) is x, y of the last pose, the distance since the last match, the variance there, and the
+    lasting reason with its amount. fresh (m,): poses with a match; seen (m,): scans with a valid beam.
     """
     walked, lost = carried[:4], carried[4:]
     for k in range(len(poses)):
@@ -150,7 +149,7 @@ def _judge(
         else:
             walked[2] += math.hypot(poses[k, 0] - walked[0], poses[k, 1] - walked[1])
         walked[0], walked[1] = poses[k, 0], poses[k, 1]
-        grown = variance - walked[3] > UNCERTAIN**2
+        grown = variance - walked[3] > MAX_GROWTH**2
         if reasons[k] == ELSEWHERE:
             lost[0], lost[1] = float(ELSEWHERE), amounts[k]
         if not math.isfinite(variance):

@@ -1,4 +1,4 @@
-"""The section of the report that shows over time whether the pose can be trusted, and why not."""
+"""The report's section on health: whether the pose can be trusted over time, and why not."""
 
 from __future__ import annotations
 
@@ -6,18 +6,18 @@ from impslam.health import STATES, Health, Span
 from impslam.observers.page import escape, round_numbers, section, table, times
 from impslam.types import Array
 
-ROWS = 30
-"""Spans in the table at most: the longest of each state."""
-LEAST = 2.0
-"""Of 1000, how wide a span is drawn at least: two pixels, so that one scan can be seen."""
+MAX_ROWS = 30
+"""Number of spans in the table: all LOST ones first, then the longest."""
+MIN_WIDTH = 2.0
+"""Minimum width of a drawn span, of 1000: about two pixels, so that a single scan is visible."""
 NOTE = (
-    "TRACKING: the pose is within its own ellipse. DEGRADED: part of what it rests on has failed. "
-    "LOST: it may be anywhere, and the map takes in nothing."
+    "TRACKING: the pose is within its own ellipse. DEGRADED: part of its evidence has failed. "
+    "LOST: it may be anywhere, and the map is not updated."
 )
 
 
 def health_section(health: Health) -> str:
-    """Return the section, with a band coloured by state and a table of reasons."""
+    """Return the section: a band coloured by state, and a table of reasons."""
     if len(health.stamps) < 2:
         return ""
     spans = list(health.spans())
@@ -32,17 +32,17 @@ def health_section(health: Health) -> str:
 
 
 def _band(stamps: Array, spans: list[Span]) -> str:
-    """Return a band over time, from the first stamp to the last, with each span in its colour."""
+    """Return a band from the first to the last stamp, with each span in the colour of its state."""
     first = float(stamps.min())
     seconds = max(float(stamps.max()) - first, 1e-9)
     marks = []
     for span in sorted(spans, key=lambda span: span.state != "DEGRADED"):  # LOST on top
         x = 1000.0 * (min(span.begin, span.end) - first) / seconds
-        width = max(1000.0 * abs(span.end - span.begin) / seconds, LEAST)
-        said = f"{span.begin - first:.1f} s: {span.state}, {span.description}"
+        width = max(1000.0 * abs(span.end - span.begin) / seconds, MIN_WIDTH)
+        title = f"{span.begin - first:.1f} s: {span.state}, {span.description}"
         marks.append(
             f'<rect class="{span.state}" x="{x:.1f}" y="0" width="{width:.1f}" height="100">'
-            f"<title>{escape(said)}</title></rect>"
+            f"<title>{escape(title)}</title></rect>"
         )
     ticks = [t for t in round_numbers(0.0, seconds, 5) if t <= seconds]
     labels = "".join(
@@ -59,10 +59,10 @@ def _band(stamps: Array, spans: list[Span]) -> str:
 
 
 def _reasons(spans: list[Span], first: float) -> str:
-    """Return the table of the longest spans, in their order."""
+    """Return the table of the longest spans, in order of time."""
     if not spans:
         return "<p>The pose could be trusted throughout.</p>"
-    longest = sorted(spans, key=lambda span: (span.state != "LOST", -span.scans))[:ROWS]
+    longest = sorted(spans, key=lambda span: (span.state != "LOST", -span.scans))[:MAX_ROWS]
     rows = [
         (
             span.state,

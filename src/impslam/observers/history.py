@@ -1,4 +1,4 @@
-"""What the report and the summary need of a run: its path, dead reckoning, quality and truth."""
+"""A run's path, dead reckoning, quality and true path, for the report and the summary."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from impslam.types import Array
 
 
 def health_of(known: Map, health: Health) -> Health:
-    """Return the health of `known.rows()`: of sweeps before those of the run nothing bad is known.
+    """Return the health of `known.rows()`, given that of the map's newest sweeps.
 
-    `health` is that of the newest sweeps of the map.
+    Earlier sweeps, of the continued map, have no reason for concern.
     """
     begin = len(known.stamps) - len(health.stamps)
     reasons, amounts = np.full(len(known.stamps), NONE, np.int8), np.zeros(len(known.stamps))
@@ -27,12 +27,12 @@ def health_of(known: Map, health: Health) -> Health:
 
 @dataclass(frozen=True, eq=False)
 class History:
-    """A map's path beside the truth.
+    """The path of a map, and the true path.
 
     Attributes
     ----------
     known : the map
-    true_path : (m, 4) stamp, x, y, theta (NaN if not told); m = 0 where the log has no truth
+    true_path : (m, 4) stamp, x, y, theta (NaN if unknown); m = 0 if the log has no ground truth
     """
 
     known: Map
@@ -45,7 +45,7 @@ class History:
 
     @cached_property
     def quality(self) -> Quality:
-        """How well the scans agree with each other."""
+        """The agreement of the scans with each other."""
         return quality(self.known)
 
     @property
@@ -55,15 +55,15 @@ class History:
 
     @property
     def odometry(self) -> Array:
-        """(n, 4) stamp, x, y, theta."""
+        """(n, 4) stamp, x, y, theta by dead reckoning."""
         return self.known.odometry()
 
     @property
     def covariances(self) -> Array:
-        """(n, 3, 3) of the poses."""
+        """(n, 3, 3) covariances of the poses."""
         return self.rows.covariances
 
     @property
     def sigmas(self) -> Array:
-        """(n, 3) m, m, rad: standard deviations of the poses."""
+        """(n, 3) standard deviations of the poses: m, m, rad."""
         return np.sqrt(np.maximum(np.diagonal(self.covariances, axis1=1, axis2=2), 0.0))

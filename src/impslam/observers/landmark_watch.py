@@ -1,12 +1,11 @@
-"""Whether landmarks are seen where the estimate has them.
+"""Checks whether landmarks are observed where the estimate predicts them, with two tests.
 
-Two tests of what a filter says of itself. The squared innovations, over their degrees of freedom, are 1 on
-average if it is consistent (Bar-Shalom et al. 2001, ch. 5.4); odometry that slips on and on, scans that are
-late, or a lidar that has turned on its mount make them larger. And what was recognised at the last
-keyframe is in view at the next one: where most of it fits no landmark all at once, the robot is
-elsewhere than estimated. It is so until landmarks from before are recognised that tell the position along
-both axes: those that are new since may be the same things once more, and along a corridor its two walls are
-the same everywhere.
+The squared innovations per degree of freedom are 1 on average if the filter is consistent (Bar-Shalom et
+al. 2001, ch. 5.4); continuous slip, late scans or a lidar that has turned on its mount make them larger.
+And landmarks recognised at the last keyframe are in view at the next one: if most of them suddenly fit no
+landmark, the robot is displaced from the estimate. It remains so until earlier landmarks are recognised
+that determine the position along both axes: newer ones may be duplicates, and the two walls of a corridor
+look the same everywhere.
 """
 
 from __future__ import annotations
@@ -20,76 +19,79 @@ from impslam.health import DISPLACED, INCONSISTENT, NONE, SKIPPED
 from impslam.map import Keyframe, Revision
 from impslam.types import Observation
 
-MEMORY = 20.0
-"""Keyframes (2 m of way) over which innovations are averaged: some 150 degrees of freedom."""
-MOST = 1.3
-"""Squared innovations over degrees of freedom that 1 % of so many exceed by chance (chi-square)."""
-SHORT = 5.0
+INNOVATION_WINDOW = 20.0
+"""Keyframes (2 m of travel) over which innovations are averaged: some 150 degrees of freedom."""
+MAX_RATIO = 1.3
+"""Squared innovations per degree of freedom that 1 % of so many exceed by chance (chi-square)."""
+MATCH_WINDOW = 5.0
 """Keyframes over which the usual number of matches is averaged."""
-FEWEST = 3
-"""Matches that are usual at least, to say that they are missing."""
-MISSING = 0.4
-"""Of the usual number of matches, the share that is missing while as many observations fit no landmark. Not
-all are missing: the two walls along which a robot slips are still matched."""
-KNOWN = 0.75
-"""Share of matches that are with landmarks from before, of a robot that is where it is estimated."""
-ACROSS = 0.5
-"""Of one landmark's worth, what those from before tell at least along the axis that they tell less of: a
-wall tells nothing along itself, and one at 45 degrees to the others half."""
-PERSISTS = 3
-"""Keyframes in a row that have to say so, either way; one without any match counts for two."""
+MIN_MATCHES = 3
+"""Minimum of the usual number of matches to detect that matches are missing."""
+MIN_MISSING_SHARE = 0.4
+"""Share of the usual matches that must be missing while as many observations fit no landmark. Not all are
+missing: the two walls along which a robot slips are still matched."""
+MIN_KNOWN_SHARE = 0.75
+"""Share of matches with earlier landmarks that shows that the robot is located again."""
+MIN_INFORMATION = 0.5
+"""Information that matched landmarks must give along the worse axis, where a point gives 1: a wall gives
+none along itself, and one at 45 degrees to the others gives half."""
+MIN_KEYFRAMES = 3
+"""Keyframes in a row that must agree to change the state; one without any match counts as two."""
 
 
 class LandmarkWatch:
-    """Tells what is wrong with the landmarks that keyframes recognise."""
+    """Reports problems with the landmarks that keyframes recognise."""
 
     def __init__(self) -> None:
-        self._squares, self._freedoms = MEMORY, MEMORY  # as if it had been consistent
+        # start with the averages of a consistent filter
+        self._squares, self._freedoms = INNOVATION_WINDOW, INNOVATION_WINDOW
         self._matches = 0.0
-        self._missing = self._again = 0  # keyframes in a row
-        self._newest = -1  # landmark
+        self._missing = self._located = 0  # keyframes in a row
+        self._newest = -1  # newest landmark
         self._before: int | None = None  # newest landmark before the robot was displaced
 
     def revise(self, keyframe: Keyframe, revision: Revision) -> tuple[int, float]:
-        """Take in a keyframe; return what is wrong, `NONE` if nothing is, and the amount with it."""
+        """Add a keyframe; return the reason for concern, `NONE` if there is none, and its amount."""
         self._average(revision)
         ratio = self._squares / self._freedoms
-        self._displace(keyframe, revision, off=ratio > MOST)
+        self._update_displaced(keyframe, revision, inconsistent=ratio > MAX_RATIO)
         self._newest = max((self._newest, *revision.born))
-        if ratio > MOST:
+        if ratio > MAX_RATIO:
             return INCONSISTENT, math.sqrt(ratio)
         return (NONE, 0.0) if self._before is None else (DISPLACED, 0.0)
 
     def _average(self, revision: Revision) -> None:
-        keep = 1.0 - 1.0 / MEMORY
+        keep = 1.0 - 1.0 / INNOVATION_WINDOW
         self._squares = keep * self._squares + sum(m.distance2 for m in revision.matches)
         self._freedoms = keep * self._freedoms + sum(len(m.innovation) for m in revision.matches)
 
-    def _displace(self, keyframe: Keyframe, revision: Revision, *, off: bool) -> None:
-        """Find out whether the robot is displaced; `off` tells that landmarks are not where they were."""
+    def _update_displaced(
+        self, keyframe: Keyframe, revision: Revision, *, inconsistent: bool
+    ) -> None:
+        """Update whether the robot is displaced; `inconsistent`: the innovations are too large."""
         found, seen = len(revision.matches), len(keyframe.observations)
         if (keyframe.lost or keyframe.reason == SKIPPED) and self._newest >= 0:
-            self._before, self._again = self._newest, 0
+            self._before, self._located = self._newest, 0
         elif self._before is None:
             fitting = found + len(revision.ambiguous)
-            missing = min(self._matches, seen) - fitting >= MISSING * self._matches
-            missing &= self._matches >= FEWEST
+            missing = min(self._matches, seen) - fitting >= MIN_MISSING_SHARE * self._matches
+            missing &= self._matches >= MIN_MATCHES
             self._missing = self._missing + (1 if found else 2) if missing else 0
-            if off or self._missing >= PERSISTS:
-                self._before, self._again = self._newest, 0
+            if inconsistent or self._missing >= MIN_KEYFRAMES:
+                self._before, self._located = self._newest, 0
         else:
             known = [match for match in revision.matches if match.landmark <= self._before]
-            again = len(known) >= max(FEWEST, KNOWN * found) and not off
-            again = again and is_located([keyframe.observations[m.observation] for m in known])
-            self._again = self._again + 1 if again else 0
-            if self._again >= PERSISTS:
+            located = len(known) >= max(MIN_MATCHES, MIN_KNOWN_SHARE * found) and not inconsistent
+            located = located and is_located([keyframe.observations[m.observation] for m in known])
+            self._located = self._located + 1 if located else 0
+            if self._located >= MIN_KEYFRAMES:
                 self._before, self._missing = None, 0
         if not self._missing:
-            self._matches += (found - self._matches) / SHORT
+            self._matches += (found - self._matches) / MATCH_WINDOW
 
 
 def is_located(seen: Iterable[Observation]) -> bool:
-    """Tell whether observations of known landmarks tell the position along both axes."""
+    """Return whether observations of known landmarks determine the position along both axes."""
     information = np.zeros((2, 2))
     for one in seen:
         if one.end_points is None:
@@ -99,4 +101,4 @@ def is_located(seen: Iterable[Observation]) -> bool:
         length2 = float(along @ along)
         if length2 > 0.0:
             information += np.eye(2) - np.outer(along, along) / length2
-    return bool(np.linalg.eigvalsh(information)[0] >= ACROSS)
+    return bool(np.linalg.eigvalsh(information)[0] >= MIN_INFORMATION)

@@ -1,4 +1,4 @@
-"""The current map, for a page that shows it while it grows."""
+"""Snapshots of the current map for a live page."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ from impslam.types import Array, Landmark, Scan, TruePose
 
 __all__ = ["GridPicture", "LiveView", "Snapshot"]
 
-LANDMARKS = 0.2
-"""s between two updates of the landmarks; a viewer does not notice this delay."""
-SHARE = 0.05
-"""Share of the estimator's time for reading a large map: at 20 us a landmark, maps of more than about
-500 landmarks are read less often. An estimator that takes longer gives a draft to read beside it."""
-BESIDE = 0.1
-"""Share of a processor for what is done beside the scans: where a loop closes in a building, all its
-landmarks are estimated again, and its whole grid is drawn again."""
-GRID = 1.0
-"""s between two pictures of the grid, which changes slowly and is the largest item to send."""
-NOTHING = np.empty((0, 2), np.float32)
-EXPECTED = 64
-"""Scans whose arrival time is stored: 6 s of a lidar at 10 Hz, more than ever wait."""
+LANDMARK_INTERVAL = 0.2
+"""Minimum time between updates of the landmarks, s; viewers do not notice this delay."""
+MAX_READ_SHARE = 0.05
+"""Maximum share of the estimator's time for reading a large map: at 20 us a landmark, maps of more than
+about 500 landmarks are read less often. Slower estimators give a draft to read in a thread."""
+MAX_BACKGROUND_SHARE = 0.1
+"""Maximum share of a processor for the background thread: after a loop closes in a building, all landmarks
+are estimated again, and the whole grid is drawn again."""
+GRID_INTERVAL = 1.0
+"""Minimum time between pictures of the grid, s; it changes slowly and is the largest item to send."""
+NO_POINTS = np.empty((0, 2), np.float32)
+MAX_EXPECTED = 64
+"""Number of scans whose arrival time is kept: 6 s of a lidar at 10 Hz, more than ever wait."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,12 +48,12 @@ class Snapshot:
     ----------
     version : increases with each change, over all maps of a view; equal versions are equal snapshots
     run : number of the map in this view; it changes with each new map
-    stamp : s, of the newest scan, NaN before the first; later while no scan arrives
+    stamp : that of the newest scan, s; NaN before the first scan; it advances while no scan arrives
     scans : number of scans used
     pose, covariance : (3,) and (3, 3), `T_map_base` at `stamp`
     odometry : (3,) dead reckoning from the same start
     path : (n, 2) float32 m in map, thinned, oldest first, ends at the pose of the newest scan; n is
-        bounded; where a loop closes it moves as a whole
+        bounded; the whole path moves when a loop closes
     landmarks : the landmarks, walls with their end points; some tenths of a second older than the
         pose, seconds in a building, and up to date after the last scan of a log
     points : (n, 2) float32 m in map, end points of the valid beams of the newest scan, empty if it
@@ -64,8 +64,8 @@ class Snapshot:
     arrived : host time (`devices.base.now`) at which the newest scan arrived, NaN if unknown
     truth : (3,) the newest true pose in map from a log or a simulator, else None; see `TruthInMap`
     finished : whether the run is over
-    placed : whether it is known where in the map the robot is; if not, the pose is in a frame of its
-        own, and path and points are empty
+    placed : whether the robot's place in the map is known; if not, the pose is in a separate frame,
+        and path and points are empty
     """
 
     version: int
@@ -95,66 +95,66 @@ def _empty(version: int, run: int) -> Snapshot:
     )  # fmt: skip
 
 
-class Growing(Protocol):
+class LiveRun(Protocol):
     """A run in progress."""
 
     def map(self) -> Map:
         """Return the current map."""
 
     def draft_landmarks(self) -> Callable[[], tuple[Landmark, ...]]:
-        """Return a function that computes the landmarks as of now, in another thread."""
+        """Return a function that returns the current landmarks and may be called in another thread."""
 
     def keyframes(self) -> Keyframes:
-        """Return the current keyframes, which is faster."""
+        """Return the current keyframes; faster than `map`."""
 
 
 class LiveView(Observer):
     """Keeps a snapshot of a run that any thread can read.
 
     One thread runs the estimator and calls all methods except `snapshot`, which any thread may call.
-    A separate thread paints the grid, and reads landmarks where that takes long.
+    A background thread draws the grid and reads the landmarks.
     """
 
     def __init__(self) -> None:
-        self._shown = _empty(0, 0)
-        self._painter: threading.Thread | None = None
-        self._picture: tuple[int, GridPicture] | None = None  # of which run
-        self._marks: tuple[int, tuple[Landmark, ...]] = 0, ()
-        self._forget(None, 0.05)
+        self._snapshot = _empty(0, 0)
+        self._worker: threading.Thread | None = None
+        self._picture: tuple[int, GridPicture] | None = None  # with the number of its run
+        self._landmarks: tuple[int, tuple[Landmark, ...]] = 0, ()
+        self._reset(None, 0.05)
 
-    def _forget(self, run: Growing | None, resolution: float) -> None:
+    def _reset(self, run: LiveRun | None, resolution: float) -> None:
         self._run, self._grid = run, OccupancyGrid(resolution)
         self._path, self._health = ThinPath(), HealthMonitor()
-        self._expected: deque[tuple[float, float]] = deque(maxlen=EXPECTED)
+        self._expected: deque[tuple[float, float]] = deque(maxlen=MAX_EXPECTED)
         self._truth = TruthInMap()
         self._placed = True
-        self._stale, self._marks_due, self._grid_due = False, 0.0, 0.0
+        self._stale, self._landmarks_due, self._grid_due = False, 0.0, 0.0
 
-    def begin(self, run: Growing, resolution: float = 0.05, *, placed: bool = True) -> None:
+    def begin(self, run: LiveRun, resolution: float = 0.05, *, placed: bool = True) -> None:
         """Start to show the map of a run.
 
-        `resolution` is the side of the grid's cells in m. The robot is not `placed` where it begins in
-        a map that is known, at a place that is not.
+        `resolution` is the cell size of the grid, m. `placed` is False if the run continues a map and
+        the robot's place in it is not known yet.
         """
-        self._forget(run, resolution)
+        self._reset(run, resolution)
         self._placed = placed
-        empty = _empty(self._shown.version + 1, self._shown.run + 1)
-        self._shown = replace(empty, placed=placed)
+        empty = _empty(self._snapshot.version + 1, self._snapshot.run + 1)
+        self._snapshot = replace(empty, placed=placed)
 
     def expect(self, stamp: float, arrived: float) -> None:
-        """Set the host time at which the scan with this stamp arrived, before it is estimated."""
+        """Record the host time at which the scan with this stamp arrived; call it before the estimate."""
         self._expected.append((stamp, arrived))
 
     def snapshot(self) -> Snapshot:
         """Return the current state without waiting."""
-        return self._shown
+        return self._snapshot
 
     def follow(self, track: Track, path: PathRows) -> None:
         """Show the newest sweep of a track."""
         row = track.rows.stop - 1
         points = _points(track.sweeps.scan(row), track.sweeps.T_middle_stamp[row])
         self._health.follow(track, path)
-        self._lead(path, track.anchor, track.T_anchor_base)
+        self._extend_path(path, track.anchor, track.T_anchor_base)
         self._show(path, points)
 
     def revise(self, keyframe: Keyframe, revision: Revision, path: PathRows) -> None:
@@ -166,22 +166,22 @@ class LiveView(Observer):
         self._health.revise(keyframe, revision, path)
         if len(revision.ids) > 1 and self._run is not None:
             self._path.move(self._run.keyframes().poses)
-        self._lead(path, keyframe.id, keyframe.T_keyframe_stamp[None])
+        self._extend_path(path, keyframe.id, keyframe.T_keyframe_stamp[None])
         self._show(path, points)
 
-    def _lead(self, path: PathRows, keyframe: int, T_keyframe_base: Array) -> None:
-        """Let the path go on by poses that hang on a keyframe."""
+    def _extend_path(self, path: PathRows, keyframe: int, T_keyframe_base: Array) -> None:
+        """Add poses to the path, attached to a keyframe."""
         for (x, y, _), (dx, dy, _) in zip(
             path.poses.tolist(), T_keyframe_base.tolist(), strict=True
         ):
             self._path.add(x, y, (keyframe, dx, dy))
 
     def _show(self, path: PathRows, points: Points) -> None:
-        before, stamp = self._shown, float(path.stamps[-1])
-        self._look_after()
+        before, stamp = self._snapshot, float(path.stamps[-1])
+        self._start_update()
         if self._placed:
             self._truth.align(stamp, path.poses[-1])
-        self._shown = Snapshot(
+        self._snapshot = Snapshot(
             before.version + 1,
             before.run,
             stamp,
@@ -189,10 +189,10 @@ class LiveView(Observer):
             path.poses[-1],
             path.covariances[-1],
             path.odometry[-1],
-            self._path.points if self._placed else NOTHING,
-            self._read(),
-            _moved(path.poses[-1], points) if self._placed else NOTHING,
-            self._painted(),
+            self._path.points if self._placed else NO_POINTS,
+            self._current_landmarks(),
+            _moved(path.poses[-1], points) if self._placed else NO_POINTS,
+            self._current_picture(),
             *self._state(),
             self._arrival(stamp),
             self._truth.pose,
@@ -201,48 +201,48 @@ class LiveView(Observer):
         )
 
     def _state(self) -> tuple[str, str]:
-        """Return the state of the newest scan, and why."""
+        """Return the state of the newest scan and the reason."""
         reason, why = self._health.newest
         return STATES[state_of(reason)], why
 
-    def carry(self, path: PathRows, silent: float) -> None:
-        """Show where dead reckoning says that the robot is after so many s without a scan."""
-        self._shown = replace(
-            self._shown,
-            version=self._shown.version + 1,
+    def show_dead_reckoned(self, path: PathRows, silent: float) -> None:
+        """Show the dead-reckoned pose after `silent` seconds without a scan."""
+        self._snapshot = replace(
+            self._snapshot,
+            version=self._snapshot.version + 1,
             stamp=float(path.stamps[-1]),
             pose=path.poses[-1],
             covariance=path.covariances[-1],
             odometry=path.odometry[-1],
             truth=self._truth.pose,
-            points=NOTHING,
+            points=NO_POINTS,
             state=STATES[DEGRADED],
             why=f"lidar silent for {max(silent, 1.0):.0f} s; the pose is dead-reckoned",
             arrived=float("nan"),
         )
 
     def truth(self, pose: TruePose) -> None:
-        """Keep the true pose; it shows with the next scan."""
+        """Keep the true pose, to be shown with the next scan."""
         self._truth.add(pose)
 
     def refresh(self) -> None:
-        """Show landmarks and grid as they are by now, for a run that pauses."""
+        """Show the current landmarks and grid, for a paused run."""
         if self._run is not None:
             self._complete(self._run.map(), finished=False)
 
     def finish(self, known: Map, outcome: Outcome) -> None:
-        """Show the map as it is at the end."""
+        """Show the final map."""
         del outcome
         self._complete(known, finished=True)
 
     def _complete(self, known: Map, finished: bool) -> None:
-        if self._painter is not None:
-            self._painter.join()
-        self._paint(known.keyframes, self._grid, self._shown.run)
-        self._marks = self._shown.run, known.landmarks
-        shown = replace(self._shown, version=self._shown.version + 1, finished=finished)
-        shown = replace(shown, landmarks=known.landmarks, grid=self._painted())
-        self._shown = self._settled(shown, known) if finished else shown
+        if self._worker is not None:
+            self._worker.join()
+        self._paint(known.keyframes, self._grid, self._snapshot.run)
+        self._landmarks = self._snapshot.run, known.landmarks
+        shown = replace(self._snapshot, version=self._snapshot.version + 1, finished=finished)
+        shown = replace(shown, landmarks=known.landmarks, grid=self._current_picture())
+        self._snapshot = self._settled(shown, known) if finished else shown
 
     def _settled(self, shown: Snapshot, known: Map) -> Snapshot:
         """Return a snapshot with the path and the pose of the settled map."""
@@ -256,54 +256,57 @@ class LiveView(Observer):
         path[-1] = pose[:2]
         return replace(shown, pose=pose, covariance=covariance, points=points, path=path)
 
-    def _look_after(self) -> None:
-        """Have landmarks and grid brought up to date beside the scans, if it is time."""
-        if self._run is None or (self._painter is not None and self._painter.is_alive()):
+    def _start_update(self) -> None:
+        """Start to update the landmarks and the grid in the background, if they are due."""
+        if self._run is None or (self._worker is not None and self._worker.is_alive()):
             return
         begin, read, keyframes = time.monotonic(), None, None
-        if self._stale and begin >= self._marks_due:
+        if self._stale and begin >= self._landmarks_due:
             read = self._run.draft_landmarks()
             took = time.monotonic() - begin
-            self._stale, self._marks_due = False, begin + max(LANDMARKS, took / SHARE)
-        if begin >= self._grid_due:
-            self._grid_due, keyframes = begin + GRID, self._run.keyframes()
-        if read is not None or keyframes is not None:
-            job = read, keyframes, self._grid, self._shown.run
-            self._painter = threading.Thread(
-                target=self._work, args=job, name="live view", daemon=True
+            self._stale, self._landmarks_due = (
+                False,
+                begin + max(LANDMARK_INTERVAL, took / MAX_READ_SHARE),
             )
-            self._painter.start()
+        if begin >= self._grid_due:
+            self._grid_due, keyframes = begin + GRID_INTERVAL, self._run.keyframes()
+        if read is not None or keyframes is not None:
+            job = read, keyframes, self._grid, self._snapshot.run
+            self._worker = threading.Thread(
+                target=self._update, args=job, name="live view", daemon=True
+            )
+            self._worker.start()
 
-    def _work(
+    def _update(
         self,
         read: Callable[[], tuple[Landmark, ...]] | None,
         keyframes: Keyframes | None,
         grid: OccupancyGrid,
         run: int,
     ) -> None:
-        """Read the landmarks and paint the grid, in a thread; a long job is followed by a long pause."""
+        """Read the landmarks and draw the grid; a long update is followed by a long pause."""
         begin = time.monotonic()
         try:
             if read is not None:
-                self._marks = run, read()
+                self._landmarks = run, read()
             if keyframes is not None:
                 self._paint(keyframes, grid, run)
         finally:
-            moment = time.monotonic()
-            due = moment + (moment - begin) / BESIDE
-            if run == self._shown.run:
-                self._marks_due = max(self._marks_due, due)
+            end = time.monotonic()
+            due = end + (end - begin) / MAX_BACKGROUND_SHARE
+            if run == self._snapshot.run:
+                self._landmarks_due = max(self._landmarks_due, due)
                 self._grid_due = max(self._grid_due, due)
 
-    def _read(self) -> tuple[Landmark, ...]:
+    def _current_landmarks(self) -> tuple[Landmark, ...]:
         """Return the newest landmarks of this map."""
-        run, marks = self._marks
-        return marks if run == self._shown.run else ()
+        run, landmarks = self._landmarks
+        return landmarks if run == self._snapshot.run else ()
 
-    def _painted(self) -> GridPicture | None:
-        """Return the newest picture of this map; the painter may still be at one of the last."""
-        made = self._picture
-        return made[1] if made is not None and made[0] == self._shown.run else None
+    def _current_picture(self) -> GridPicture | None:
+        """Return the newest picture of this map; the thread may still be drawing the previous map."""
+        newest = self._picture
+        return newest[1] if newest is not None and newest[0] == self._snapshot.run else None
 
     def _paint(self, keyframes: Keyframes, grid: OccupancyGrid, run: int) -> None:
         keyframes.draw(grid)
@@ -313,7 +316,7 @@ class LiveView(Observer):
             self._picture = run, picture
 
     def _arrival(self, stamp: float) -> float:
-        """Return when the scan of a stamp arrived; those before it have been refused."""
+        """Return when the scan with a stamp arrived; earlier expected scans were dropped."""
         while self._expected:
             expected, arrived = self._expected.popleft()
             if expected == stamp:
@@ -322,7 +325,7 @@ class LiveView(Observer):
 
 
 def _points(scan: Scan | None, T_middle_stamp: Array) -> Points:
-    """Return where the valid beams ended, in base_link at the scan's stamp."""
+    """Return the end points of the valid beams in base_link at the scan's stamp."""
     if scan is None:
         return np.empty((0, 2), np.float32)
     return _moved(inverse(T_middle_stamp), valid_points(scan))

@@ -1,4 +1,4 @@
-"""Writes what other programs read of a map: grid, pose graph, landmarks and path."""
+"""Writes a map's grid, pose graph, landmarks and path for other programs."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ GRAPH = "graph.g2o"
 MAP_FILES = frozenset(
     {"trajectory.tum", "trajectory.csv", "landmarks.csv", "map.pgm", "map.yaml", GRAPH}
 )
-"""What is written; the graph and the grid only where the map has them."""
+"""The files written; the graph and the grid only if the map has them."""
 
 
-Keep: TypeAlias = Callable[..., AbstractContextManager[None]]
-"""Called with names of files before they are written, in the context that it returns."""
+Attempt: TypeAlias = Callable[..., AbstractContextManager[None]]
+"""Called with the names of files; returns the context in which they are written."""
 
 
 @contextmanager
-def together(*names: str) -> Iterator[None]:
-    """Let the first file that cannot be written end it."""
+def stop_at_error(*names: str) -> Iterator[None]:
+    """Let an error of writing a file propagate."""
     del names
     yield
 
@@ -39,37 +39,37 @@ def write_map_files(
     folder: Path,
     known: Map,
     image: MapImage,
-    keep: Keep = together,
+    attempt: Attempt = stop_at_error,
     states: Reasons | None = None,
 ) -> None:
-    """Write `MAP_FILES` into a folder, which exists; `image` is the map's grid.
+    """Write `MAP_FILES` to an existing folder; `image` is the map's grid.
 
-    `states` (m,) are those of the newest m sweeps, if a run tells of them; earlier ones are TRACKING.
+    `states` (m,) is the health of the newest m sweeps, if known; earlier ones count as TRACKING.
     """
     rows = known.rows()
-    with keep("trajectory.tum"):
+    with attempt("trajectory.tum"):
         write_tum(folder / "trajectory.tum", np.column_stack((rows.stamps, rows.poses)))
-    with keep("trajectory.csv"):
+    with attempt("trajectory.csv"):
         if states is not None:
             states = states[known.placed()[len(known.stamps) - len(states) :]]
         table = folder / "trajectory.csv"
         write_path_table(table, rows.stamps, rows.poses, rows.covariances, states)
-    with keep("landmarks.csv"):
+    with attempt("landmarks.csv"):
         write_landmarks(folder / "landmarks.csv", known.landmarks)
     if len(known.edges.i):
-        with keep(GRAPH):
+        with attempt(GRAPH):
             write_g2o(folder / GRAPH, _graph(known))
-    if (image.pixels != UNKNOWN).any():  # a sensor without scans draws no grid
-        with keep("map.pgm", "map.yaml"):
+    if (image.pixels != UNKNOWN).any():  # a sensor without scans gives no grid
+        with attempt("map.pgm", "map.yaml"):
             write_map(folder, image)
 
 
 def _graph(known: Map) -> G2o:
-    """Return the graph of the keyframes that have edges, with their final poses and their ids."""
+    """Return the graph of the keyframes that have edges, with final poses and ids."""
     edges = known.edges
     ids, ends = np.unique(np.concatenate([edges.i, edges.j]), return_inverse=True)
     i, j = ends.reshape(2, -1)
-    first = np.zeros(1, np.int64)  # where the map lies is not measured
+    first = np.zeros(1, np.int64)  # fixed, because the map's origin is arbitrary
     return G2o(ids, known.keyframes.poses[ids], edges._replace(i=i, j=j), first)
 
 
@@ -79,7 +79,7 @@ _ROW = "%.9f,%.9f,%.9f,%.9f" + 6 * ",%.9e"
 def write_path_table(
     path: Path, stamps: Array, poses: Array, covariances: Array, states: Reasons | None = None
 ) -> None:
-    """Write poses (m, 3) with their covariances as CSV, and the health of the newest ones if told."""
+    """Write poses (m, 3) with their covariances as CSV, and the health of the newest ones if known."""
     spread = covariances[:, UPPER[0], UPPER[1]]
     values, head, row = np.column_stack((stamps, poses, spread)), PATH_COLUMNS, _ROW
     if states is not None:
@@ -92,6 +92,8 @@ def write_path_table(
         )
     with path.open("w", encoding="utf-8") as stream:
         stream.write(head + "\n")
-        for begin in range(0, len(values), 1000):  # a Python number takes four times its own size
-            some = values[begin : begin + 1000]
-            stream.write(f"{row}\n" * len(some) % tuple(some.ravel().tolist()))
+        for begin in range(
+            0, len(values), 1000
+        ):  # in parts: Python floats take four times the memory
+            part = values[begin : begin + 1000]
+            stream.write(f"{row}\n" * len(part) % tuple(part.ravel().tolist()))

@@ -16,23 +16,23 @@ from impslam.observers.map_frame import CIRCLE, SQUARE, Frame, Key
 from impslam.types import Array, Landmark
 
 SIZE = 1440
-"""Pixels along the map's longer side."""
-SMALL = 0.55
-"""OpenCV's font size of the landmarks' numbers."""
+"""Length of the map's longer side, pixels."""
+LABEL_SIZE = 0.55
+"""Font size of the landmarks' numbers in OpenCV's units."""
 MAX_POINTS = 4000
-"""Points of a drawn path: more than the picture has pixels along it."""
+"""Maximum number of drawn points of a path: more than it has pixels."""
 MAX_LABELS = 40
-"""Landmarks that are labelled; more would hide the map."""
+"""Maximum number of labelled landmarks; more would hide the map."""
 DASH, GAP = 11.0, 7.0
-"""Pixels of the truth's dashes."""
-WIDEST = 2.0
-"""Times the longer side of map, path and truth to which ellipses and odometry may stretch the picture:
-beyond it the map would be too small to see."""
+"""Length of the true path's dashes and gaps, pixels."""
+MAX_STRETCH = 2.0
+"""Factor by which ellipses and odometry may enlarge the picture beyond map, path and truth; beyond that,
+the map would be too small."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
-    """What is drawn; paths are (n, 2) m in map, empty where there is none, parted where not finite."""
+    """The items to draw; paths are (n, 2) m in map, empty if unknown, interrupted at non-finite rows."""
 
     image: MapImage
     path: Array
@@ -47,26 +47,26 @@ def map_png(scene: Scene) -> bytes:
     canvas = Canvas(box, SIZE, colours.UNSEEN)
     frame = Frame(canvas, box, _keys(scene))
     draw_grid(canvas, scene.image)
-    frame.rule()
+    frame.draw_lines()
     thickness = float(np.clip(15.0 / max(right - left, top - bottom), 0.5, 1.0))
     _draw_paths(canvas, scene, thickness)
     _draw_landmarks(canvas, scene.landmarks, thickness)
     _draw_ends(canvas, scene.path)
     _draw_numbers(canvas, scene.landmarks)
-    return png(frame.around().pixels)
+    return png(frame.finished().pixels)
 
 
 def bounds(scene: Scene) -> tuple[float, float, float, float]:
-    """Return left, right, bottom, top of what is drawn, as far as `WIDEST` lets it."""
+    """Return left, right, bottom, top of the drawn items, limited by `MAX_STRETCH`."""
     left, right, bottom, top = scene.image.extent
     ends = [mark.end_points for mark in scene.landmarks if mark.end_points is not None]
     points = [mark for mark in scene.landmarks if mark.end_points is None]
     at = [mark.position[None] for mark in points]
     box = _box(scene.path, scene.truth, *ends, *at, np.array([[left, bottom], [right, top]]))
-    widest = WIDEST * np.ptp(box, axis=0).max()
+    max_side = MAX_STRETCH * np.ptp(box, axis=0).max()
     for more in ([ellipse(mark) for mark in points], [scene.odometry]):
         wider = _box(box, *more)
-        if np.ptp(wider, axis=0).max() <= widest:
+        if np.ptp(wider, axis=0).max() <= max_side:
             box = wider
     low, high = box
     margin = 0.03 * max(*(high - low), 1.0)
@@ -74,17 +74,17 @@ def bounds(scene: Scene) -> tuple[float, float, float, float]:
 
 
 def _box(*parts: Array) -> Array:
-    """Return the lower left and the upper right corner (2, 2) of the finite ones of points (n, 2)."""
+    """Return the lower left and upper right corners (2, 2) of the finite points of all parts (n, 2)."""
     points = np.vstack(parts)
     points = points[np.isfinite(points).all(axis=1)]
     return np.stack([points.min(axis=0), points.max(axis=0)])
 
 
 def ellipse(mark: Landmark) -> Array:
-    """Return the outline (n, 2) m that holds a point with `SIGMAS` standard deviations."""
+    """Return the uncertainty ellipse (n, 2) m of a point at `SIGMAS` standard deviations."""
     values, vectors = np.linalg.eigh(mark.covariance)
-    reach = SIGMAS * np.sqrt(np.maximum(values, 0.0))
-    return np.asarray(mark.position + CIRCLE * reach @ vectors.T)
+    axes = SIGMAS * np.sqrt(np.maximum(values, 0.0))
+    return np.asarray(mark.position + CIRCLE * axes @ vectors.T)
 
 
 def draw_grid(canvas: Canvas, image: MapImage) -> None:
@@ -110,14 +110,14 @@ def _draw_paths(canvas: Canvas, scene: Scene, thickness: float) -> None:
 
 
 def drawn_path(known: Map) -> Array:
-    """Return a map's path (n, 2) m, with NaN where one drive ends and another one begins."""
+    """Return a map's path (n, 2) m, with a row of NaN between two sessions."""
     path, sessions = known.rows().poses[:, :2], known.keyframes.sessions[known.anchors]
     begins = np.flatnonzero(np.diff(sessions[known.placed()])) + 1
     return np.insert(path, begins, np.nan, axis=0)
 
 
 def pieces(path: Array) -> Iterator[Array]:
-    """Yield the finite pieces of a path, of each every k-th point and its last."""
+    """Yield the finite pieces of a path; long ones are thinned to every k-th point and the last."""
     step = -(-len(path) // MAX_POINTS)
     known = np.isfinite(path).all(axis=1)
     for piece in np.split(path, np.flatnonzero(np.diff(known)) + 1):
@@ -126,7 +126,7 @@ def pieces(path: Array) -> Iterator[Array]:
 
 
 def _draw_landmarks(canvas: Canvas, landmarks: Sequence[Landmark], thickness: float) -> None:
-    """Draw points: their outline, a cross, and the ellipse that holds them."""
+    """Draw point landmarks: outline, cross and uncertainty ellipse."""
     points = [mark for mark in landmarks if mark.end_points is None]
     before = canvas.pixels.copy()
     for mark in points:
@@ -140,32 +140,32 @@ def _draw_landmarks(canvas: Canvas, landmarks: Sequence[Landmark], thickness: fl
 
 
 def _draw_ends(canvas: Canvas, path: Array) -> None:
-    """Mark where the path begins and where it ends."""
+    """Mark the start and the end of the path."""
     path = path[np.isfinite(path).all(axis=1)]
     if not len(path):
         return
-    for place, outline, code in ((path[0], CIRCLE, TRUTH), (path[-1], SQUARE, INK)):
-        canvas.fill(place + 11.0 / canvas.scale * outline, "#ffffff")
-        canvas.fill(place + 8.5 / canvas.scale * outline, code)
+    for position, outline, code in ((path[0], CIRCLE, TRUTH), (path[-1], SQUARE, INK)):
+        canvas.fill(position + 11.0 / canvas.scale * outline, "#ffffff")
+        canvas.fill(position + 8.5 / canvas.scale * outline, code)
 
 
 def _draw_numbers(canvas: Canvas, landmarks: Sequence[Landmark]) -> None:
-    """Write the landmarks' numbers beside them, where there are few."""
+    """Write the landmarks' numbers beside them, if they are few."""
     for mark in landmarks if len(landmarks) <= MAX_LABELS else ():
         at = mark.position if mark.end_points is None else mark.end_points.mean(axis=0)
-        canvas.label(at + 9.0 / canvas.scale, str(mark.id), INK, SMALL, "#ffffff")
+        canvas.label(at + 9.0 / canvas.scale, str(mark.id), INK, LABEL_SIZE, "#ffffff")
 
 
 def _keys(scene: Scene) -> list[Key]:
-    """Return the key's entries for what is there."""
+    """Return the key's entries for the items in the scene."""
     kinds = {mark.end_points is None for mark in scene.landmarks}
     entries = [
         (True, Key("SLAM", PATH, 4.0)),
-        (len(scene.odometry) > 0, Key("odometry alone", ODOMETRY, 3.0)),
+        (len(scene.odometry) > 0, Key("odometry", ODOMETRY, 3.0)),
         (len(scene.truth) > 0, Key("truth", TRUTH, 3.0)),
         (False in kinds, Key("wall", WALL, 8.0)),
         (True in kinds, Key("point, 3 sigma", POINT, 2.0, 9.0 * CIRCLE)),
         (True, Key("start", TRUTH, outline=9.0 * CIRCLE)),
         (True, Key("end", INK, outline=8.0 * SQUARE)),
     ]
-    return [key for there, key in entries if there]
+    return [key for is_shown, key in entries if is_shown]

@@ -1,7 +1,7 @@
-"""Pieces of a page that needs nothing else: tables, tiles and charts as HTML with inline SVG.
+"""Parts of a self-contained page: tables, tiles and charts as HTML with inline SVG.
 
-A chart's lines are drawn in a picture that stretches with the page, its labels are text beside it:
-both stay readable from a phone to a wall.
+The lines of a chart are an SVG that stretches with the page, and its labels are HTML text beside it, so
+that both are readable on any screen.
 """
 
 from __future__ import annotations
@@ -17,25 +17,25 @@ import numpy as np
 from impslam.types import Array
 
 BUCKETS = 400
-"""Longer lines are drawn by the least and the greatest value of so many stretches."""
+"""Longer lines are drawn with the minimum and maximum of so many segments."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Line:
-    """One line of a chart: values (n,), and its look: one of "a", "b", "c"."""
+    """A line of a chart: values (n,), and the CSS class of its style, e.g. "a", "b" or "c"."""
 
     label: str
     values: Array
-    look: str = "a"
+    style: str = "a"
 
 
 def escape(text: object) -> str:
-    """Return text that is safe in HTML."""
+    """Return text escaped for HTML."""
     return html.escape(str(text))
 
 
 def page(title: str, sections: Iterable[str], script: str = "") -> Iterator[str]:
-    """Yield the whole page piece by piece; the script runs at its end."""
+    """Yield the whole page in parts; the script is at its end."""
     style = packaged("report.css")
     yield (
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
@@ -56,13 +56,13 @@ def packaged(name: str) -> str:
 
 
 def section(title: str, *parts: str, note: str = "") -> str:
-    """Return a titled section; `note` explains it in a sentence."""
-    said = f'<p class="note">{escape(note)}</p>' if note else ""
-    return f"<section>\n<h2>{escape(title)}</h2>\n{said}\n" + "\n".join(parts) + "\n</section>"
+    """Return a titled section with an optional explaining note."""
+    text = f'<p class="note">{escape(note)}</p>' if note else ""
+    return f"<section>\n<h2>{escape(title)}</h2>\n{text}\n" + "\n".join(parts) + "\n</section>"
 
 
 def tiles(facts: Mapping[str, tuple[str, str]]) -> str:
-    """Return headline figures: name -> (figure, what to add in small)."""
+    """Return headline figures: name -> (figure, small print)."""
     items = (
         f'<div class="tile"><div class="name">{escape(name)}</div>'
         f'<div class="figure">{escape(figure)}</div><div class="more">{escape(more)}</div></div>'
@@ -72,12 +72,13 @@ def tiles(facts: Mapping[str, tuple[str, str]]) -> str:
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[object]], text: int = 1) -> str:
-    """Return a table; the first `text` columns are flush left, the others are numbers."""
+    """Return a table; the first `text` columns are left-aligned, the others are numbers."""
 
     def line(cells: Sequence[object], tag: str) -> str:
-        looks = ("" if i < text else ' class="number"' for i in range(len(cells)))
+        styles = ("" if i < text else ' class="number"' for i in range(len(cells)))
         parts = (
-            f"<{tag}{look}>{escape(cell)}</{tag}>" for look, cell in zip(looks, cells, strict=True)
+            f"<{tag}{style}>{escape(cell)}</{tag}>"
+            for style, cell in zip(styles, cells, strict=True)
         )
         return "<tr>" + "".join(parts) + "</tr>"
 
@@ -87,14 +88,14 @@ def table(header: Sequence[str], rows: Iterable[Sequence[object]], text: int = 1
 
 
 def folded(title: str, content: str) -> str:
-    """Return content that opens at a click."""
+    """Return content that is folded until clicked."""
     return f"<details><summary>{escape(title)}</summary>{content}</details>"
 
 
 def chart(
     title: str, time: Array, lines: Sequence[Line], band: Array | None = None, zero: bool = True
 ) -> str:
-    """Return a chart over time (n,) s; `band` (n,) is shaded about zero, to both sides."""
+    """Return a chart over time (n,) s; the area within +-`band` (n,) is shaded."""
     t = time - time[0]
     values = [line.values for line in lines]
     shades = [] if band is None else [band, -band]
@@ -107,11 +108,13 @@ def chart(
 
     marks = "".join(f'<path class="rule" d="M0 {_y:.2f}H1000"/>' for _y in y(np.array(ticks)))
     shade = "" if band is None else _area(x, y(band), y(-band))
-    drawn = "".join(f'<path class="line {s.look}" d="{_path(x, y(s.values))}"/>' for s in lines)
+    drawn = "".join(f'<path class="line {s.style}" d="{_path(x, y(s.values))}"/>' for s in lines)
     ys = _labels("y", ticks, [(high - v) / (high - low) for v in ticks])
     seconds = [v for v in round_numbers(0.0, span, 5) if v <= span]
     xs = _labels("x", seconds, [v / span for v in seconds])
-    keys = "".join(f'<span class="key {s.look}">{escape(s.label)}</span>' for s in lines if s.label)
+    keys = "".join(
+        f'<span class="key {s.style}">{escape(s.label)}</span>' for s in lines if s.label
+    )
     return (
         f'<figure class="chart"><figcaption>{escape(title)} {keys}</figcaption>'
         f'<div class="plot"{times(time[0], time[-1])}>'
@@ -121,14 +124,14 @@ def chart(
 
 
 def times(begin: float, end: float) -> str:
-    """Return the attributes that tell a script between which stamps, s, a plot extends."""
+    """Return the HTML attributes with the first and last stamp of a plot, s, for the script."""
     return f' data-begin="{begin:.6f}" data-end="{end:.6f}"'
 
 
 def _axis(values: list[Array], shades: list[Array], zero: bool) -> tuple[float, float, list[float]]:
-    """Return the least and greatest value to show and the ticks between.
+    """Return the minimum and maximum to show, and the ticks.
 
-    A band that is far wider than the lines is cut, or nothing of the lines could be seen.
+    A band that is far wider than the lines is cut off to keep the lines visible.
     """
     joined = np.concatenate(values)
     joined = joined[np.isfinite(joined)]
@@ -136,18 +139,18 @@ def _axis(values: list[Array], shades: list[Array], zero: bool) -> tuple[float, 
     if zero:
         low, high = min(low, 0.0), max(high, 0.0)
     if shades:
-        reach = max(-low, high, 1e-12)
-        widest = min(float(np.nanmax(shades[0])), 4.0 * reach)
-        low, high = min(low, -widest), max(high, widest)
+        extent = max(-low, high, 1e-12)
+        width = min(float(np.nanmax(shades[0])), 4.0 * extent)
+        low, high = min(low, -width), max(high, width)
     if high - low < 1e-9:
         high = low + 1.0
     ticks = round_numbers(float(low), float(high), 4)
     return ticks[0], ticks[-1], ticks
 
 
-def round_numbers(low: float, high: float, about: float) -> list[float]:
-    """Return round numbers that enclose an interval, about so many."""
-    raw = (high - low) / about
+def round_numbers(low: float, high: float, count: float) -> list[float]:
+    """Return about `count` equally spaced round numbers that enclose an interval."""
+    raw = (high - low) / count
     power = 10.0 ** math.floor(math.log10(raw))
     step = next(power * f for f in (1.0, 2.0, 2.5, 5.0, 10.0) if power * f >= raw * 0.999)
     first, last = math.floor(low / step + 1e-9), math.ceil(high / step - 1e-9)
@@ -165,17 +168,17 @@ def _labels(axis: str, ticks: Sequence[float], places: Sequence[float]) -> str:
 
 
 def _path(x: Array, y: Array) -> str:
-    """Return an SVG path through the finite points, long ones by their extremes."""
+    """Return an SVG path through the finite points; a long one is reduced to its local extremes."""
     points = np.column_stack((x, y))[np.isfinite(y)]
     if len(points) > 2 * BUCKETS:
-        stretches = np.array_split(points, BUCKETS)
-        picked = [s[np.sort([s[:, 1].argmin(), s[:, 1].argmax()])] for s in stretches]
-        points = np.vstack(picked)
+        segments = np.array_split(points, BUCKETS)
+        extremes = [s[np.sort([s[:, 1].argmin(), s[:, 1].argmax()])] for s in segments]
+        points = np.vstack(extremes)
     return "M" + "L".join(f"{a:.1f} {b:.2f}" for a, b in points) if len(points) else ""
 
 
 def _area(x: Array, top: Array, bottom: Array) -> str:
     step = max(1, len(x) // BUCKETS)
-    there, back = slice(None, None, step), slice(None, None, -step)
-    points = zip((*x[there], *x[back]), (*top[there], *bottom[back]), strict=True)
+    forth, back = slice(None, None, step), slice(None, None, -step)
+    points = zip((*x[forth], *x[back]), (*top[forth], *bottom[back]), strict=True)
     return '<path class="band" d="M' + "L".join(f"{a:.1f} {b:.2f}" for a, b in points) + 'Z"/>'

@@ -1,4 +1,4 @@
-"""The picture of where in a map scans were taken."""
+"""The picture of where scans were taken in a map."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from impslam.types import Array
 
 FOUND, AMBIGUOUS = TRUTH, ODOMETRY
 RADIUS, NEEDLE = 4.0, 11.0
-"""Pixels of a place's mark, and of the stroke that tells its heading."""
+"""Radius of a place's marker and length of its heading line, pixels."""
 
 
 class Place(Protocol):
@@ -34,28 +34,28 @@ class Place(Protocol):
 
 
 def places_png(image: MapImage, places: Iterable[Place]) -> bytes:
-    """Return places on a map's grid as a PNG; of ambiguous ones the best hypothesis is drawn."""
+    """Return a PNG of places on a map's grid; ambiguous ones are drawn at the best hypothesis."""
     left, right, bottom, top = image.extent
     margin = 0.03 * max(right - left, top - bottom, 1.0)
     bounds = left - margin, right + margin, bottom - margin, top + margin
     canvas = Canvas(bounds, SIZE, colours.UNSEEN)
-    shown = [place for place in places if place.pose is not None]
+    drawn = [place for place in places if place.pose is not None]
     groups = [
-        (code, [p.pose for p in shown if p.answer.verdict is verdict])
+        (code, [p.pose for p in drawn if p.answer.verdict is verdict])
         for verdict, code in ((Verdict.AMBIGUOUS, AMBIGUOUS), (Verdict.FOUND, FOUND))
     ]
     keys = [
         Key(f"found ({len(groups[1][1])})", FOUND, outline=6.0 * CIRCLE),
-        Key(f"ambiguous ({len(groups[0][1])}), the best guess", AMBIGUOUS, outline=6.0 * CIRCLE),
+        Key(f"ambiguous ({len(groups[0][1])}), best hypothesis", AMBIGUOUS, outline=6.0 * CIRCLE),
     ]
     frame = Frame(canvas, bounds, keys)
     draw_grid(canvas, image)
-    frame.rule()
+    frame.draw_lines()
     for code, poses in groups:
         for pose in poses:
             if pose is not None:
                 _mark(canvas, pose, code)
-    return png(frame.around().pixels)
+    return png(frame.finished().pixels)
 
 
 def _mark(canvas: Canvas, pose: Array, code: str) -> None:

@@ -1,4 +1,4 @@
-"""Writes the run folder: the live path while it is driven, the rest at the end."""
+"""Writes the run folder: the live path during the run, the other files at the end."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ import numpy as np
 
 from impslam.map import Keyframe, Map, PathRows, Revision, Track
 from impslam.observers.base import Observer, Outcome
-from impslam.observers.file_by_file import FileByFile
 from impslam.observers.run_folder import begin_summary, make_run_folder, write_end
 from impslam.observers.trajectory import TrajectoryWriter
+from impslam.observers.write_attempts import WriteAttempts
 from impslam.types import Array, TrueLandmark, TruePose
 
 
-class Truth(Observer):
+class TruthRecorder(Observer):
     """Keeps the true path."""
 
     def __init__(self) -> None:
@@ -28,12 +28,12 @@ class Truth(Observer):
 
     @property
     def path(self) -> Array:
-        """(m, 4) stamp, x, y, theta (NaN if not told); m = 0 where the log has no truth."""
+        """(m, 4) stamp, x, y, theta (NaN if unknown); m = 0 if the log has no ground truth."""
         return np.array(self._rows, np.float64).reshape(-1, 4)
 
 
-class Recorder(Truth):
-    """Writes a run into a folder, which is made if need be; `known` are the true landmarks.
+class Recorder(TruthRecorder):
+    """Writes a run to a folder, created if needed, with the true landmarks, if any.
 
     Raises
     ------
@@ -41,11 +41,11 @@ class Recorder(Truth):
         If the folder cannot be written to.
     """
 
-    def __init__(self, folder: Path, known: Sequence[TrueLandmark] = ()) -> None:
+    def __init__(self, folder: Path, true_landmarks: Sequence[TrueLandmark] = ()) -> None:
         super().__init__()
         make_run_folder(folder)
         begin_summary(folder)
-        self._folder, self._known = folder, known
+        self._folder, self._true_landmarks = folder, true_landmarks
         self._live = TrajectoryWriter(folder)
 
     def follow(self, track: Track, path: PathRows) -> None:
@@ -62,9 +62,9 @@ class Recorder(Truth):
         self._live.truth(pose)
 
     def finish(self, known: Map, outcome: Outcome) -> None:
-        """Write what is known only at the end."""
-        keep = FileByFile(self._folder)
-        for rows in self._live.files:
-            with keep(rows.path.name, grows=True):
-                rows.flush()
-        write_end(keep, known, outcome, self.path, self._known)
+        """Write the remaining files."""
+        attempt = WriteAttempts(self._folder)
+        for file in self._live.files:
+            with attempt(file.path.name, keep_partial=True):
+                file.flush()
+        write_end(attempt, known, outcome, self.path, self._true_landmarks)

@@ -1,4 +1,4 @@
-"""Writes report.html, one page that needs nothing else, and report.png, its picture of the map."""
+"""Writes report.html, a self-contained page, and report.png, its picture of the map."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ def write_report(
     image: MapImage,
     true_landmarks: Sequence[TrueLandmark] = (),
 ) -> None:
-    """Write the page and the picture into a folder; `true_landmarks` are in the truth's frame."""
+    """Write the page and the picture to a folder; `true_landmarks` are in the truth's frame."""
     landmarks = history.known.landmarks
-    laid = accuracy.laid_in_map(history)
-    truth = np.zeros((0, 2)) if laid is None else laid.pairs.truth[:, :2]
+    aligned = accuracy.align_truth(history)
+    truth = np.zeros((0, 2)) if aligned is None else aligned.pairs.truth[:, :2]
     (folder / "report.png").write_bytes(draw(image, history, truth, landmarks))
-    sections = _sections(history, outcome, image, laid, true_landmarks)
+    sections = _sections(history, outcome, image, aligned, true_landmarks)
     with (folder / "report.html").open("w", encoding="utf-8") as file:
         file.writelines(page(f"{outcome.log.name} · impslam", sections, script()))
 
@@ -49,15 +49,15 @@ def _sections(
     history: History,
     outcome: Outcome,
     image: MapImage,
-    laid: accuracy.Laid | None,
+    aligned: accuracy.AlignedTruth | None,
     true_landmarks: Sequence[TrueLandmark],
 ) -> Iterator[str]:
-    """Yield the sections one by one: that of the map alone takes megabytes."""
+    """Yield the sections one by one, because that of the map takes megabytes."""
     landmarks = history.known.landmarks
     yield heading(outcome, history)
-    yield map_section(history, outcome, image, laid)
+    yield map_section(history, outcome, image, aligned)
     yield health_section(outcome.health)
-    yield accuracy.section_of(laid, history, landmarks, true_landmarks)
+    yield accuracy.accuracy_section(aligned, history, landmarks, true_landmarks)
     yield quality_section(history.quality)
     yield uncertainty(history)
     yield landmark_table(landmarks)

@@ -1,4 +1,4 @@
-"""Writes a run as a recording that the viewer Rerun opens (extra `view`)."""
+"""Writes a run as a recording for the Rerun viewer (extra `view`)."""
 
 from __future__ import annotations
 
@@ -15,26 +15,26 @@ from impslam.geometry.se2 import transform
 from impslam.health import Health, describe, state_of
 from impslam.map import Map
 from impslam.maps.files import MapImage, map_image
-from impslam.observers.accuracy import laid_in_map
+from impslam.observers.accuracy import align_truth
 from impslam.observers.base import Outcome
 from impslam.observers.grid_picture import occupancy
 from impslam.observers.history import History, health_of
 from impslam.observers.map_picture import drawn_path, ellipse, pieces
-from impslam.observers.recorder import Truth
+from impslam.observers.recorder import TruthRecorder
 from impslam.types import Array, Landmark
 
 SCAN = "#e8590c"
 LEVELS = ("INFO", "WARN", "ERROR")
-"""Of the log's lines, by state: TRACKING, DEGRADED, LOST."""
-WIDTH = 0.03
-"""m, radius of lines and points."""
+"""Log levels of the states TRACKING, DEGRADED and LOST."""
+RADIUS = 0.03
+"""Radius of lines and points, m."""
 
 
-class RerunFile(Truth):
+class RerunFile(TruthRecorder):
     """Writes the recording at the end of a run.
 
-    The final grid, path, truth and landmarks hold for all times; on the timeline "log" there are the robot
-    at each scan, the scans of the keyframes, and whether the pose can be trusted.
+    The final grid, path, truth and landmarks are static; the timeline "log" has the robot's pose at each
+    scan, the scans of the keyframes, and whether the pose can be trusted.
 
     Raises
     ------
@@ -48,7 +48,7 @@ class RerunFile(Truth):
             import rerun  # noqa: PLC0415  # an extra, which takes half a second to import
         except ImportError:
             raise ConfigError(
-                f"--rerun needs the viewer's library; install it with `{install('view')}`"
+                f"--rerun needs the package rerun-sdk; install it with `{install('view')}`"
             ) from None
         self._path, self._rerun = path, rerun
 
@@ -86,9 +86,9 @@ class RerunFile(Truth):
         self._log_lines(recording, "map/points", [ellipse(mark) for mark in points], POINT, points)
 
     def _log_truth(self, recording: Any, history: History) -> None:
-        laid = laid_in_map(history)
-        if laid is not None:
-            self._log_lines(recording, "map/truth", [laid.pairs.truth[:, :2]], TRUTH)
+        aligned = align_truth(history)
+        if aligned is not None:
+            self._log_lines(recording, "map/truth", [aligned.pairs.truth[:, :2]], TRUTH)
 
     def _log_lines(
         self,
@@ -98,24 +98,24 @@ class RerunFile(Truth):
         code: str,
         marks: Sequence[Landmark] = (),
     ) -> None:
-        """Log lines (n, 2) m on the ground, those of landmarks with their kinds and numbers."""
+        """Log lines (n, 2) m on the ground, labelled with the kinds and numbers of landmarks, if given."""
         flat = [np.column_stack((line, np.zeros(len(line)))) for line in lines if line is not None]
         labels = [f"{mark.kind} {mark.id}" for mark in marks] or None
-        look: dict[str, Any] = {
+        style: dict[str, Any] = {
             "colors": [_rgb(code)],
-            "radii": [WIDTH],
+            "radii": [RADIUS],
             "labels": labels,
             "show_labels": False,
         }
-        recording.log(name, self._rerun.LineStrips3D(flat, **look), static=True)
+        recording.log(name, self._rerun.LineStrips3D(flat, **style), static=True)
 
     def _log_drive(self, recording: Any, known: Map, health: Health) -> None:
         """Log the robot at each scan, the scans of the keyframes, and changes of health."""
         rr, rows, keyframes = self._rerun, known.rows(), known.keyframes
         anchors, start = known.anchors[known.placed()], float(rows.stamps.min())
-        look: dict[str, Any] = {"colors": [_rgb(INK)], "radii": [WIDTH]}
-        recording.log("map/robot", rr.Arrows3D(vectors=[[0.4, 0.0, 0.0]], **look), static=True)
-        shown = told = -1
+        style: dict[str, Any] = {"colors": [_rgb(INK)], "radii": [RADIUS]}
+        recording.log("map/robot", rr.Arrows3D(vectors=[[0.4, 0.0, 0.0]], **style), static=True)
+        shown = logged = -1
         for k, pose in enumerate(rows.poses):
             recording.set_time("log", duration=float(rows.stamps[k]) - start)
             turn = rr.RotationAxisAngle([0.0, 0.0, 1.0], float(pose[2]))
@@ -126,14 +126,14 @@ class RerunFile(Truth):
                 seen = keyframes.points[keyframes.starts[shown] : keyframes.starts[shown + 1]]
                 at = transform(keyframes.poses[shown], seen.astype(np.float64))
                 flat = np.column_stack((at, np.zeros(len(at))))
-                recording.log("map/scan", rr.Points3D(flat, colors=[_rgb(SCAN)], radii=[WIDTH]))
-            if health.reasons[k] != told:
-                told = int(health.reasons[k])
-                said = describe(told, float(health.amounts[k])) or "TRACKING"
-                level = LEVELS[state_of(told)]
-                recording.log("health", rr.TextLog(said, level=level))
+                recording.log("map/scan", rr.Points3D(flat, colors=[_rgb(SCAN)], radii=[RADIUS]))
+            if health.reasons[k] != logged:
+                logged = int(health.reasons[k])
+                text = describe(logged, float(health.amounts[k])) or "TRACKING"
+                level = LEVELS[state_of(logged)]
+                recording.log("health", rr.TextLog(text, level=level))
 
 
 def _rgb(code: str) -> list[int]:
-    """Return "#rrggbb" as numbers."""
+    """Return "#rrggbb" as numbers from 0 to 255."""
     return list(bytes.fromhex(code.removeprefix("#")))

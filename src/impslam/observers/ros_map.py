@@ -1,4 +1,4 @@
-"""Writes what a run has learned as an MCAP file that Foxglove and RViz open."""
+"""Writes the result of a run as an MCAP file for Foxglove and RViz."""
 
 from __future__ import annotations
 
@@ -31,19 +31,19 @@ class RosMap(Observer):
 
 
 def write_ros_map(path: Path, known: Map, outcome: Outcome) -> None:
-    """Write a map as an MCAP file, which is replaced if it exists.
+    """Write a map as an MCAP file, replacing an existing one.
 
-    `/map`, `/path` and `/landmarks` are latched and come first: they are the final ones. `/tf` (map ->
-    odom -> base_link) and `/health` follow, a message for each scan, in the order of their stamps; of scans
-    with one stamp the last one counts.
+    The final `/map`, `/path` and `/landmarks` come first and are latched. `/tf` (map -> odom -> base_link)
+    and `/health` follow, a message for each scan, in order of the stamps; of scans with equal stamps only
+    the last one is written.
 
     Raises
     ------
     ImpError
-        If the file cannot be written, or stamps do not fit ROS.
+        If the file cannot be written, or ROS cannot represent the stamps.
     """
     rows = known.rows()
-    at = _in_time(rows.stamps)
+    at = _chronological(rows.stamps)
     stamps, poses, odometry = rows.stamps[at], rows.poses[at], rows.odometry[at]
     _, reasons, amounts = health_of(known, outcome.health)
     begin = float(stamps[0])
@@ -65,8 +65,8 @@ def write_ros_map(path: Path, known: Map, outcome: Outcome) -> None:
             write("/health", stamp, ros_values.health(stamp, reason, amount))
 
 
-def _in_time(stamps: Array) -> Ints:
-    """Return the rows in the order of their stamps (n,), of equal ones the last: tf2 takes no others."""
+def _chronological(stamps: Array) -> Ints:
+    """Return the rows in order of the stamps (n,), only the last of equal ones, as tf2 requires."""
     order = np.argsort(stamps, kind="stable")
     last = np.append(np.diff(stamps[order]) > 0.0, True)
     return np.asarray(order[last])

@@ -1,4 +1,4 @@
-"""Landmarks as ROS 2 markers, which RViz and Foxglove show."""
+"""Landmarks as ROS 2 markers for RViz and Foxglove."""
 
 from __future__ import annotations
 
@@ -13,11 +13,10 @@ from impslam.sources.ros_storage import RosMessage
 from impslam.types import Array, Landmark
 
 HEIGHT = 0.5
-"""m, of the columns and letters that mark landmarks: a map in the plane tells none."""
-THIN = 0.05
-"""m, width of lines."""
-CYLINDER, LINE_STRIP, LETTERS = 3, 4, 9
-"""Kinds of visualization_msgs/Marker."""
+"""Height of the markers, m; landmarks of a 2D map have none."""
+LINE_WIDTH = 0.05  # m
+CYLINDER, LINE_STRIP, TEXT = 3, 4, 9
+"""Types of visualization_msgs/Marker."""
 
 
 def landmarks(marks: Sequence[Landmark], stamp: float) -> RosMessage:
@@ -28,7 +27,7 @@ def landmarks(marks: Sequence[Landmark], stamp: float) -> RosMessage:
 
 def _markers(mark: Landmark, stamp: float) -> Iterator[RosMessage]:
     if mark.end_points is None:
-        width, at = 2.0 * max(mark.parameters.get("radius", 0.0), THIN), mark.position
+        width, at = 2.0 * max(mark.parameters.get("radius", 0.0), LINE_WIDTH), mark.position
         yield _marker(
             mark.id, mark.kind, stamp, CYLINDER, POINT, at=at, scale=(width, width, HEIGHT)
         )
@@ -39,10 +38,10 @@ def _markers(mark: Landmark, stamp: float) -> Iterator[RosMessage]:
         at = mark.end_points.mean(axis=0)
         yield _marker(mark.id, mark.kind, stamp, LINE_STRIP, WALL, line=mark.end_points)
     scale = (0.0, 0.0, 0.5 * HEIGHT)
-    yield _marker(mark.id, "number", stamp, LETTERS, INK, at=at, scale=scale, text=str(mark.id))
+    yield _marker(mark.id, "number", stamp, TEXT, INK, at=at, scale=scale, text=str(mark.id))
 
 
-def _marker(  # noqa: PLR0913  # as many as the message has that matter
+def _marker(  # noqa: PLR0913  # the fields of the message that matter
     number: int,
     space: str,
     stamp: float,
@@ -50,11 +49,11 @@ def _marker(  # noqa: PLR0913  # as many as the message has that matter
     code: str,
     *,
     at: Array | None = None,
-    scale: tuple[float, float, float] = (THIN, 0.0, 0.0),
+    scale: tuple[float, float, float] = (LINE_WIDTH, 0.0, 0.0),
     line: Sequence[Array] | Array = (),
     text: str = "",
 ) -> RosMessage:
-    """Return a marker in map; one with a line (n, 2) m lies at the origin."""
+    """Return a marker in map; a line (n, 2) m is relative to the origin."""
     x, y = (0.0, 0.0) if at is None else map(float, at)
     place = new(
         "geometry_msgs/msg/Pose",

@@ -17,9 +17,9 @@ def grid(image: MapImage, stamp: float) -> RosMessage:
     rows, columns = image.pixels.shape
     origin = planar(np.array([*image.origin, 0.0]))
     facts = (time_of(stamp), image.resolution, columns, rows, origin)
-    about = new("nav_msgs/msg/MapMetaData", *facts)
-    lowest_first = occupancy(image)[::-1].reshape(-1)
-    return new("nav_msgs/msg/OccupancyGrid", header_of(stamp, "map"), about, lowest_first)
+    metadata = new("nav_msgs/msg/MapMetaData", *facts)
+    bottom_up = occupancy(image)[::-1].reshape(-1)
+    return new("nav_msgs/msg/OccupancyGrid", header_of(stamp, "map"), metadata, bottom_up)
 
 
 def path(stamps: Array, poses: Array) -> RosMessage:
@@ -39,8 +39,8 @@ def frames(stamp: float, T_map_odom: Array, T_odom_base: Array) -> RosMessage:
 
 def _frame(stamp: float, parent: str, child: str, pose: Array) -> RosMessage:
     x, y, theta = map(float, pose)
-    moved = new("geometry_msgs/msg/Transform", xyz("Vector3", np.array([x, y, 0.0])), turn(theta))
-    return new("geometry_msgs/msg/TransformStamped", header_of(stamp, parent), child, moved)
+    T = new("geometry_msgs/msg/Transform", xyz("Vector3", np.array([x, y, 0.0])), turn(theta))
+    return new("geometry_msgs/msg/TransformStamped", header_of(stamp, parent), child, T)
 
 
 def health(stamp: float, reason: int, amount: float) -> RosMessage:
@@ -49,6 +49,6 @@ def health(stamp: float, reason: int, amount: float) -> RosMessage:
     TRACKING is OK, DEGRADED a warning, LOST an error; the message is the reason.
     """
     state = state_of(reason)
-    said = ": ".join(filter(None, (STATES[state], describe(reason, amount))))
-    status = new("diagnostic_msgs/msg/DiagnosticStatus", state, "impslam: pose", said, "", [])
+    text = ": ".join(filter(None, (STATES[state], describe(reason, amount))))
+    status = new("diagnostic_msgs/msg/DiagnosticStatus", state, "impslam: pose", text, "", [])
     return new("diagnostic_msgs/msg/DiagnosticArray", header_of(stamp, ""), [status])

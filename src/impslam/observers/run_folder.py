@@ -1,4 +1,4 @@
-"""Writes the run folder: fixed file names, and the same bytes for the same run except for times."""
+"""Writes the run folder, with fixed file names; equal runs give equal bytes except for times."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from impslam.evaluation.tum import TRUTH, write_tum
 from impslam.map import Map
 from impslam.maps.files import map_image
 from impslam.observers.base import Outcome
-from impslam.observers.file_by_file import FileByFile
 from impslam.observers.history import History
 from impslam.observers.map_files import write_map_files
 from impslam.observers.report import write_report
 from impslam.observers.summary import config_toml, summarise
-from impslam.observers.trajectory import LIVE
+from impslam.observers.trajectory import LIVE_PATH
+from impslam.observers.write_attempts import WriteAttempts
 from impslam.paths import written
 from impslam.types import Array, TrueLandmark
 
@@ -44,9 +44,9 @@ def make_run_folder(folder: Path) -> None:
 
 
 def begin_summary(folder: Path) -> None:
-    """Write a summary that calls the run partial, for one that is killed; the end replaces it.
+    """Write a summary that marks the run as partial, in case it is killed; `write_end` replaces it.
 
-    On a disk that is full by then it holds the place of the last one.
+    It also reserves space for the final one, in case the disk is full by then.
 
     Raises
     ------
@@ -67,62 +67,62 @@ def write_run(
 ) -> Path:
     """Write all files of a run to a folder and return the folder; create it if it does not exist.
 
-    `true_path` (m, 4) holds stamp, x, y, theta, if the log contains them.
+    `true_path` (m, 4) has the columns stamp, x, y, theta; it is empty if the log has no ground truth.
 
     Raises
     ------
     ImpError
-        If a file cannot be written; the others are.
+        If a file cannot be written; the others are written.
     """
     make_run_folder(folder)
-    keep = FileByFile(folder)
-    with keep(LIVE):
-        write_tum(folder / LIVE, known.live_path())
+    attempt = WriteAttempts(folder)
+    with attempt(LIVE_PATH):
+        write_tum(folder / LIVE_PATH, known.live_path())
     if len(true_path):
-        with keep(TRUTH):
+        with attempt(TRUTH):
             write_tum(folder / TRUTH, true_path)
-    write_end(keep, known, outcome, true_path, true_landmarks)
+    write_end(attempt, known, outcome, true_path, true_landmarks)
     return folder
 
 
 def write_end(
-    keep: FileByFile,
+    attempt: WriteAttempts,
     known: Map,
     outcome: Outcome,
     true_path: Array,
     true_landmarks: Sequence[TrueLandmark],
 ) -> None:
-    """Write the files that are not written while the robot drives; see `write_run`.
+    """Write the files that are not written during the run; see `write_run`.
 
-    The map comes first, from which all others can be made; the summary comes last and says which files
-    could not be written.
+    The map comes first, because the other files can be made from it; the summary comes last and reports
+    the files that could not be written.
     """
-    folder, history = keep.folder, History(known, true_path)
-    if outcome.log.is_relative_to(folder):  # it may be moved with its log
+    folder, history = attempt.folder, History(known, true_path)
+    if outcome.log.is_relative_to(folder):  # the folder may be moved together with its log
         outcome = replace(outcome, log=outcome.log.relative_to(folder))
-    with keep("map.imp"):
+    with attempt("map.imp"):
         known.save(folder / "map.imp")
     grid = known.grid(outcome.config["grid"]["resolution"])
     image, refused = map_image(grid), grid.refused
-    del grid  # its memory serves the picture
-    write_map_files(folder, known, image, keep, outcome.health.states)
-    with keep("odometry.tum"):
+    del grid  # free its memory for the picture
+    write_map_files(folder, known, image, attempt, outcome.health.states)
+    with attempt("odometry.tum"):
         write_tum(folder / "odometry.tum", history.odometry)
     if true_landmarks:
-        with keep(TRUE_LANDMARKS):
+        with attempt(TRUE_LANDMARKS):
             write_true_landmarks(folder / TRUE_LANDMARKS, true_landmarks)
-    with keep("config.toml"):
+    with attempt("config.toml"):
         (folder / "config.toml").write_text(config_toml(outcome.config), encoding="utf-8")
-    with keep("report.png", "report.html"):
-        write_report(folder, history, _marked(outcome, keep), image, true_landmarks)
-    with keep("summary.json"):
-        facts = summarise(_marked(outcome, keep), history, refused)
+    with attempt("report.png", "report.html"):
+        write_report(folder, history, _marked(outcome, attempt), image, true_landmarks)
+    with attempt("summary.json"):
+        facts = summarise(_marked(outcome, attempt), history, refused)
         text = json.dumps(facts, indent=2, ensure_ascii=False) + "\n"
         (folder / "summary.json").write_text(text, encoding="utf-8")
-    keep.check()
+    attempt.check()
 
 
-def _marked(outcome: Outcome, keep: FileByFile) -> Outcome:
-    """Return the outcome marked as partial if a file could not be written."""
-    partial = "; ".join(filter(None, (outcome.partial, keep.said)))
+def _marked(outcome: Outcome, attempt: WriteAttempts) -> Outcome:
+    """Return the outcome, marked as partial if a file could not be written."""
+    partial = "; ".join(filter(None, (outcome.partial, attempt.message)))
     return replace(outcome, partial=partial)

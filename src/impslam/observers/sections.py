@@ -1,4 +1,4 @@
-"""The sections of the report: headline figures, uncertainty, landmarks, matches, times, details."""
+"""Sections of the report: headline figures, uncertainty, landmarks, matches, times, details."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from impslam.provenance import versions
 from impslam.types import Landmark
 
 ANGLES = {"alpha": "α", "angle": "angle", "heading": "heading"}
-"""Parameters that are angles, and how they are called."""
+"""Parameters that are angles, and their labels."""
 NO_LANDMARKS = "<p>No landmark was found. The path is dead reckoning.</p>"
 
 
@@ -44,9 +44,9 @@ def heading(outcome: Outcome, history: History) -> str:
         "Path": (f"{length(history.known, history.path):.1f} m", "estimated"),
         "Landmarks": (str(len(landmarks)), found),
         **_loops(outcome),
-        "Speed": (f"{speed:,.0f}×", f"real time, {per_scan:.2f} ms a scan{once}"),
+        "Speed": (f"{speed:,.0f}×", f"real time, {per_scan:.2f} ms per scan{once}"),
     }
-    alone = ", by the lidar alone: there is no odometry" * outcome.lidar_alone
+    alone = " by the lidar alone, without odometry" * outcome.lidar_alone
     title = f"<h1>{escape(outcome.log.name)}</h1><p>Mapped by impslam{alone}</p>"
     title += f"<p>Pose: {escape(outcome.health.summary)}.</p>"
     if outcome.partial:
@@ -55,7 +55,7 @@ def heading(outcome: Outcome, history: History) -> str:
 
 
 def _loops(outcome: Outcome) -> dict[str, tuple[str, str]]:
-    """Return the figure of loop closures, where the estimator seeks any."""
+    """Return the figure of loop closures, if the estimator closes loops."""
     counts = outcome.counts
     if "loops tried" not in counts:
         return {}
@@ -63,7 +63,7 @@ def _loops(outcome: Outcome) -> dict[str, tuple[str, str]]:
 
 
 def duration(seconds: float) -> str:
-    """Return a time as people say it."""
+    """Return a duration in readable units."""
     if seconds < 120.0:
         return f"{seconds:.1f} s"
     minutes, rest = divmod(round(seconds), 60)
@@ -82,14 +82,14 @@ def uncertainty(history: History) -> str:
         chart("Heading, 1σ in degrees", t, [Line("", np.degrees(sigma[:, 2]), "c")]),
     )
     note = (
-        "The estimator's own standard deviations. They grow on new ground and fall where known "
-        "places are seen again."
+        "The estimator's own standard deviations. They grow on new ground and shrink when known "
+        "places are revisited."
     )
     return section("Uncertainty", f'<div class="charts">{"".join(charts)}</div>', note=note)
 
 
 def matching(history: History) -> str:
-    """Return the charts of matches and of normalised innovations; "" of an estimator without matches."""
+    """Return the charts of matches and normalised innovations; "" if the estimator has no matches."""
     keyframes = history.known.keyframes
     if len(keyframes) < 2 or not keyframes.innovations[:, 0].any():
         return ""
@@ -106,8 +106,8 @@ def matching(history: History) -> str:
         chart("NIS per degree of freedom", t[edges], lines),
     )
     note = (
-        "The normalised innovation squared (NIS) of the matches is 1 per degree of freedom where "
-        "the filter's noise is right; above, it trusts itself too much; below, too little."
+        "The normalised innovation squared (NIS) of the matches is 1 per degree of freedom if the "
+        "filter's noise is right; above 1 the filter is overconfident, below 1 underconfident."
     )
     return section("Matches", f'<div class="charts">{"".join(charts)}</div>', note=note)
 
@@ -121,14 +121,14 @@ def landmark_table(landmarks: Sequence[Landmark]) -> str:
     ordered = sorted(landmarks, key=lambda mark: (mark.kind, mark.id))
     rows = [landmark_row(mark, start) for mark in ordered]
     note = (
-        "x, y: a point's centre, or the foot of the normal on a wall from the map's origin. 1σ: of "
-        "x, y of a point; of distance r and direction α of a wall. Times from the first sighting."
+        "x, y: a point's centre, or the foot of a wall's normal from the map's origin. 1σ: of x, y "
+        "of a point, or of distance r and direction α of a wall. Times from the first observation."
     )
     return section("Landmarks", table(header, rows), note=note)
 
 
 def landmark_row(mark: Landmark, start: float) -> tuple[str, ...]:
-    """Return the cells of a landmark's row; times are from `start`, s."""
+    """Return the cells of a landmark's row; times are relative to `start`, s."""
     a, b = np.sqrt(np.maximum(np.diag(mark.covariance), 0.0))
     wall = mark.end_points is not None
     spread = (
@@ -146,15 +146,15 @@ def landmark_row(mark: Landmark, start: float) -> tuple[str, ...]:
 
 
 def parameters(mark: Landmark) -> str:
-    """Return a landmark's parameters beside its position, for people."""
+    """Return a landmark's parameters except its position, as text."""
     names = {"r": "r {:.3f} m", "radius": "radius {:.3f} m"}
-    shown = []
+    texts = []
     for name, value in mark.parameters.items():
         if name in ANGLES:
-            shown.append(f"{ANGLES[name]} {math.degrees(value):z.1f}°")
+            texts.append(f"{ANGLES[name]} {math.degrees(value):z.1f}°")
         elif name not in ("x", "y"):
-            shown.append(names.get(name, name + " {:g}").format(value))
-    return ", ".join(shown)
+            texts.append(names.get(name, name + " {:g}").format(value))
+    return ", ".join(texts)
 
 
 def stages(outcome: Outcome) -> str:
@@ -167,22 +167,22 @@ def stages(outcome: Outcome) -> str:
             (name, *cells, f"{100 * np.sum(seconds) / max(outcome.wall_seconds, 1e-9):.0f} %")
         )
     header = ("stage", "mean ms", "median ms", "99 % ms", "of the run")
-    note = "Time per scan; settle is done once. The stages of the very first run include the compiling."
+    note = "Time per scan; settle runs once. The stages of a version's first run include compiling."
     return section("Time", table(header, rows), note=note)
 
 
 def dropped(outcome: Outcome) -> str:
-    """Return the table of what was not used, and why."""
+    """Return the table of unused data and problems."""
     if not outcome.dropped:
         return section("Not used", "<p>Everything in the log was used.</p>")
     rows = [(kind, f"{d.count:,}", d.example) for kind, d in sorted(outcome.dropped.items())]
-    note = "What was dropped, or looked wrong, with the first example of each kind."
+    note = "Data that were dropped or looked wrong, with the first example of each kind."
     header = ("problem", "times", "first example")
     return section("Not used", table(header, rows, text=3), note=note)
 
 
 def details(outcome: Outcome) -> str:
-    """Return what is needed to repeat the run."""
+    """Return the data needed to repeat the run."""
     facts = [
         ("log", outcome.log),
         ("SHA-256 of the log", outcome.log_sha256),
@@ -190,7 +190,7 @@ def details(outcome: Outcome) -> str:
             (f"version of {name}" if name != "platform" else name, v)
             for name, v in versions().items()
         ),
-        ("scalars in the belief", outcome.state_size),
+        ("scalars in the filter state", outcome.state_size),
         *(
             (f"{name} in the log" if name[0].isupper() else name, f"{n:,}")
             for name, n in sorted(outcome.counts.items())
@@ -198,7 +198,7 @@ def details(outcome: Outcome) -> str:
     ]
     config = f"<pre>{escape(config_toml(outcome.config))}</pre>"
     return section(
-        "To repeat it",
+        "To repeat the run",
         folded("Log, versions and counts", table(("what", ""), facts, text=2)),
-        folded("The configuration, as config.toml holds it", config),
+        folded("The configuration, as in config.toml", config),
     )

@@ -20,7 +20,7 @@ from impslam.types import Array
 
 
 def summarise(outcome: Outcome, history: History, refused: int) -> dict[str, Any]:
-    """Return the content of summary.json. Values that can differ between equal runs are under "time"."""
+    """Return the contents of summary.json. Values that can differ between equal runs are under "time"."""
     kinds = Counter(mark.kind for mark in history.known.landmarks)
     return {
         "log": {
@@ -57,7 +57,7 @@ def summarise(outcome: Outcome, history: History, refused: int) -> dict[str, Any
 
 
 def _health(health: Health) -> dict[str, Any]:
-    """Return how many scans are in each state, the spans that are not TRACKING, and the newest state."""
+    """Return the number of scans in each state, the spans that are not TRACKING, and the last state."""
     spans = [
         {
             "begin": _round(span.begin),
@@ -73,14 +73,14 @@ def _health(health: Health) -> dict[str, Any]:
 
 
 def loops(counts: Mapping[str, int]) -> str:
-    """Return how many loops were closed, "" where the estimator seeks none."""
+    """Return how many loops were closed, or "" if the estimator closes none."""
     if "loops tried" not in counts:
         return ""
     return f"{counts['loops closed']} closed, {counts['loops tried']} tried"
 
 
 def real_time_factor(outcome: Outcome) -> float:
-    """Return the duration of the log divided by that of the run without compiling."""
+    """Return the duration of the log divided by that of the run, without compiling."""
     seconds = working_seconds(outcome)
     return outcome.log_seconds / seconds if seconds > 0.0 else math.nan
 
@@ -91,7 +91,7 @@ def working_seconds(outcome: Outcome) -> float:
 
 
 def compiled(outcome: Outcome) -> str:
-    """Return how long the run compiled, "" if it had nothing to compile worth telling."""
+    """Return how long the run compiled, or "" if less than 0.5 s."""
     seconds = outcome.compile_seconds
     return f"{seconds:.0f} s compiling" if seconds >= 0.5 else ""
 
@@ -106,10 +106,9 @@ def stage_times(seconds: Array) -> dict[str, float | None]:
 
 
 def length(known: Map, path: Array, begin: int = 0) -> float:
-    """Return the length in m of a path of a map, (n, 4) stamp, x, y, theta of its placed sweeps.
+    """Return the length in m of a map's path, (n, 4) stamp, x, y, theta of its placed sweeps.
 
-    It begins with sweep `begin` of the map. The gap between two sessions does not count: nobody
-    drove it.
+    It is measured from sweep `begin` of the map. Gaps between sessions do not count.
     """
     sweeps = np.flatnonzero(known.placed())
     sessions = known.keyframes.sessions[known.anchors[sweeps]]

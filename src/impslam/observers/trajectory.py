@@ -1,4 +1,4 @@
-"""Writes the path while it is driven: a run that is cut short leaves its path."""
+"""Writes the path during the run, so that a run that is cut short leaves its path."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from impslam.map import Keyframe, Map, PathRows, Revision, Track
 from impslam.observers.base import Observer, Outcome
 from impslam.types import Array, TruePose
 
-LIVE = "trajectory.live.tum"
-FLUSH = 100
-"""Rows kept back at most: 10 s of a lidar at 10 Hz."""
+LIVE_PATH = "trajectory.live.tum"
+FLUSH_ROWS = 100
+"""Maximum number of rows buffered: 10 s of a lidar at 10 Hz."""
 
 
-class Rows:
-    """A text file that grows by poses; it is open only while it is written to."""
+class PoseFile:
+    """A text file of poses to append to; it is open only during writes."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -32,11 +32,11 @@ class Rows:
         """Append poses (m, 3) at stamps (m,), s."""
         self._pending.append((stamps, poses))
         self._count += len(stamps)
-        if self._count >= FLUSH:
+        if self._count >= FLUSH_ROWS:
             self.flush()
 
     def flush(self) -> None:
-        """Write what is pending."""
+        """Write the buffered rows."""
         if self._pending:
             stamps, poses = (np.concatenate(part) for part in zip(*self._pending, strict=True))
             _append(self.path, tum_rows(stamps, poses), "a")
@@ -45,7 +45,7 @@ class Rows:
 
 
 def _append(path: Path, text: str, mode: str) -> None:
-    """Append to a file, or leave it as it was."""
+    """Write or append to a file; if that fails, leave it unchanged."""
     before = path.stat().st_size if path.exists() else 0
     try:
         with path.open(mode, encoding="utf-8", newline="\n") as stream:
@@ -57,16 +57,16 @@ def _append(path: Path, text: str, mode: str) -> None:
 
 
 class TrajectoryWriter(Observer):
-    """Writes trajectory.live.tum, and truth.tum where the log has a truth."""
+    """Writes trajectory.live.tum, and truth.tum if the log has ground truth."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._path = Rows(folder / LIVE)
-        self._truth: Rows | None = None
+        self._path = PoseFile(folder / LIVE_PATH)
+        self._truth: PoseFile | None = None
 
     @property
-    def files(self) -> list[Rows]:
-        """The files begun by now."""
+    def files(self) -> list[PoseFile]:
+        """The files written so far."""
         return [self._path] if self._truth is None else [self._path, self._truth]
 
     def follow(self, track: Track, path: PathRows) -> None:
@@ -82,11 +82,11 @@ class TrajectoryWriter(Observer):
     def truth(self, pose: TruePose) -> None:
         """Append a true pose."""
         if self._truth is None:
-            self._truth = Rows(self._folder / TRUTH)
+            self._truth = PoseFile(self._folder / TRUTH)
         self._truth.add(np.array([pose.stamp]), pose.pose[None])
 
     def finish(self, known: Map, outcome: Outcome) -> None:
         """Write the last rows."""
         del known, outcome
-        for rows in self.files:
-            rows.flush()
+        for file in self.files:
+            file.flush()

@@ -1,4 +1,4 @@
-"""The true pose beside the estimate while a run goes on."""
+"""The true pose in map during a run."""
 
 from __future__ import annotations
 
@@ -10,34 +10,34 @@ from impslam.evaluation.trajectory import interpolate, is_same_pose
 from impslam.geometry.se2 import compose, inverse
 from impslam.types import Array, TruePose
 
-KEPT = 64
-"""True poses that are kept for the first scan: 6 s at 10 Hz, more than a scan is late."""
-SLACK = 0.1
-"""s that a scan may lie before or after the true poses."""
+MAX_POSES = 64
+"""Number of true poses kept for the first scan: 6 s at 10 Hz, more than a scan is late."""
+TIME_TOLERANCE = 0.1
+"""Maximum time between a scan and the true poses, s."""
 
 
 class TruthInMap:
-    """Moves true poses into map.
+    """Transforms true poses to map.
 
-    A simulator or a tracking system has a frame of its own. It is laid so that truth and estimate agree
-    at the first scan; if they agree there to 5 cm and 3 degrees as they are, it is taken to be map. A
-    truth without headings is not moved.
+    A simulator or tracking system has its own frame, which is aligned so that truth and estimate agree at
+    the first scan. If they agree there to 5 cm and 3 degrees without alignment, or if the truth has no
+    headings, it is not transformed.
     """
 
     def __init__(self) -> None:
-        self._poses: deque[tuple[float, Array]] = deque(maxlen=KEPT)
+        self._poses: deque[tuple[float, Array]] = deque(maxlen=MAX_POSES)
         self._T_map_truth: Array | None = None
 
     def add(self, pose: TruePose) -> None:
-        """Take the next true pose."""
+        """Add a true pose."""
         self._poses.append((pose.stamp, pose.pose))
 
     def align(self, stamp: float, estimate: Array) -> None:
-        """Fix the frame by a pose (3,) in map, unless it is fixed or no truth is known at its stamp."""
+        """Align the frame with a pose (3,) in map, unless it is aligned or has no truth at this stamp."""
         if self._T_map_truth is not None or not self._poses:
             return
         rows = np.array([(t, *pose) for t, pose in self._poses])
-        if not rows[:, 0].min() - SLACK <= stamp <= rows[:, 0].max() + SLACK:
+        if not rows[:, 0].min() - TIME_TOLERANCE <= stamp <= rows[:, 0].max() + TIME_TOLERANCE:
             return
         true = interpolate(rows, np.array([stamp]))[0]
         same = is_same_pose(true, estimate) or not np.isfinite(true).all()
@@ -45,7 +45,7 @@ class TruthInMap:
 
     @property
     def pose(self) -> Array | None:
-        """(3,) the newest true pose in map, None while there is none or its frame is not fixed."""
+        """The newest true pose (3,) in map; None if there is none or its frame is not aligned yet."""
         if self._T_map_truth is None or not self._poses:
             return None
         newest = self._poses[-1][1]

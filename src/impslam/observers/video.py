@@ -1,4 +1,4 @@
-"""Writes a run as a video: the map grows, the robot drives, its scan lies on what it has mapped."""
+"""Writes a run as a video of the growing map, with the robot and its scans."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ from impslam.observers.history import health_of
 from impslam.observers.map_picture import Scene, bounds, draw_grid, drawn_path, ellipse, pieces
 from impslam.types import Array, Ints
 
-SECONDS, RATE = 15.0, 20.0
-"""s a video takes at most, and frames a second; a shorter run is shown as it was."""
+MAX_SECONDS, RATE = 15.0, 20.0
+"""Maximum duration of a video, s, and frames per second; shorter runs are shown in real time."""
 SIZE = 800
-"""Pixels along the map's longer side: coding a frame takes 60 ms, and four times that at twice the size."""
+"""Length of the map's longer side, pixels. Encoding a frame takes 60 ms, or 240 ms at twice the size."""
 CODECS = ("vp09", "mp4v")
-"""VP9 plays in browsers and all players; MPEG-4 is for an OpenCV that was built without it."""
+"""VP9 plays in browsers and all players; MPEG-4 is for an OpenCV built without VP9."""
 SCAN = "#e8590c"
-STATE_INKS = ("#15803d", "#c77700", "#d0202f")
+STATE_COLOURS = ("#15803d", "#c77700", "#d0202f")
 ROBOT = np.array([[13.0, 0.0], [-8.0, 7.0], [-4.0, 0.0], [-8.0, -7.0]])
-"""Pixels, an arrow that looks along x."""
+"""Outline of an arrow along x, pixels."""
 Progress = Callable[[float], None]
-"""Called with the share of the frames that are written."""
+"""Called with the share of frames written."""
 
 
 class Video(Observer):
@@ -51,7 +51,7 @@ class Video(Observer):
 def write_video(
     path: Path, known: Map, outcome: Outcome, progress: Progress = lambda share: None
 ) -> None:
-    """Write the drive through the final map as an MP4 file, which is replaced if it exists.
+    """Write the drive through the final map as an MP4 file, replacing an existing one.
 
     Raises
     ------
@@ -70,19 +70,19 @@ def write_video(
 
 
 def _rows(stamps: Array) -> Ints:
-    """Return the row (f,) of the path that each frame shows: the newest by then.
+    """Return the row of the path that each frame (f,) shows: the newest at its time.
 
-    Where stamps run backwards the clock stands.
+    If stamps go backwards, the clock stops.
     """
     clock = np.maximum.accumulate(stamps)
     seconds = float(clock[-1] - clock[0])
-    count = max(2, round(RATE * min(SECONDS, seconds)))
+    count = max(2, round(RATE * min(MAX_SECONDS, seconds)))
     times = np.linspace(clock[0], clock[-1], count)
     return np.asarray(np.searchsorted(clock, times, side="right") - 1)
 
 
 def _writer(path: Path, size: tuple[int, int]) -> cv2.VideoWriter:
-    """Return what writes frames of a size (columns, rows)."""
+    """Return a writer of frames of a size (columns, rows)."""
     ffmpeg.silence()
     for codec in CODECS:
         writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*codec), RATE, size)
@@ -94,7 +94,7 @@ def _writer(path: Path, size: tuple[int, int]) -> cv2.VideoWriter:
 
 
 class _Frames:
-    """Draws the frames of a run, in their order."""
+    """Draws the frames of a run, in order of time."""
 
     def __init__(self, known: Map, outcome: Outcome) -> None:
         self._known, self._rows = known, known.rows()
@@ -109,7 +109,7 @@ class _Frames:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Columns and rows, which are even: codecs take no others."""
+        """Columns and rows, both even, as codecs require."""
         rows, columns, _ = self._ground.pixels.shape
         return columns // 2 * 2, rows // 2 * 2
 
@@ -128,7 +128,7 @@ class _Frames:
         return np.ascontiguousarray(canvas.pixels[:rows, :columns])
 
     def _draw_landmarks(self, canvas: Canvas, now: float) -> None:
-        """Draw the landmarks that have been seen by now, s."""
+        """Draw the landmarks observed until `now`, s."""
         for mark in self._known.landmarks:
             if mark.first_stamp > now:
                 continue
@@ -141,18 +141,18 @@ class _Frames:
         keyframes = self._known.keyframes
         points = keyframes.points[keyframes.starts[anchor] : keyframes.starts[anchor + 1]]
         columns, rows = canvas.pixels.shape[1::-1]
-        places = canvas.place(transform(keyframes.poses[anchor], points.astype(np.float64)))
-        x, y = np.round(places).astype(int).T
+        pixels = canvas.to_pixels(transform(keyframes.poses[anchor], points.astype(np.float64)))
+        x, y = np.round(pixels).astype(int).T
         inside = (x >= 1) & (x < columns) & (y >= 1) & (y < rows)
         for dx, dy in ((0, 0), (-1, 0), (0, -1), (-1, -1)):
             canvas.pixels[y[inside] + dy, x[inside] + dx] = colour(SCAN)
 
     def _draw_robot(self, canvas: Canvas, row: int) -> None:
-        """Draw the robot, and write the time and whether its pose can be trusted."""
+        """Draw the robot, and write the time and the state of its pose."""
         pose, state = self._rows.poses[row], int(self._health.states[row])
         canvas.line(transform(pose, ROBOT / canvas.scale), "#ffffff", 3.0, closed=True)
         canvas.fill(transform(pose, ROBOT / canvas.scale), INK)
         seconds = self._rows.stamps[row] - self._rows.stamps[0]
         corner = canvas.corner + np.array([12.0, -26.0]) / canvas.scale
-        words = f"{seconds:.1f} s  {STATES[state]}"
-        canvas.label(corner, words, STATE_INKS[state], 0.7, "#ffffff")
+        text = f"{seconds:.1f} s  {STATES[state]}"
+        canvas.label(corner, text, STATE_COLOURS[state], 0.7, "#ffffff")

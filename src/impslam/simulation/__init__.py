@@ -1,1 +1,1 @@
-"""Worlds, ray casting, driving and noise: what the robot would have recorded."""
+"""Simulates logs: worlds, driving, ray casting and sensor noise."""

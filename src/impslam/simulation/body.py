@@ -1,7 +1,7 @@
-"""The robot's body in real time: told wheel speeds in, true motion and spoilt readings out.
+"""The robot's body in real time: from commanded wheel speeds to true motion and noisy readings.
 
-The offline simulation knows the whole way in advance; this one is told what to do as it goes, by
-whoever drives. One thread moves it and reads it.
+Unlike the offline simulation, which plans the whole drive in advance, it is commanded step by step. A
+single thread must move it and read it.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ import numpy as np
 from impslam.errors import ConfigError
 from impslam.geometry.angles import wrap
 from impslam.simulation.body_motion import (
+    DISTANCE,
     HEADING,
     LEFT,
-    ROLLED,
     SPEED,
     TURN_RATE,
-    WAY,
+    WHEEL_ANGLE,
     Drivetrain,
     roll,
     run,
@@ -29,24 +29,24 @@ from impslam.simulation.scene import Scene
 from impslam.simulation.world import World
 from impslam.types import Array
 
-STEP = 1e-3  # s; the micro-controller reads its encoders as often
-MEMORY = 4.0  # s of the past that are kept: a sweep of 0.1 s may be asked for 2 s later
-_DOORS = 0.1  # s between looks at the doors' leaves, which move 0.1 rad meanwhile
-_MOST = 100  # steps at once: doors are looked at in between
+STEP = 1e-3  # s; the micro-controller reads its encoders at this period
+MEMORY = 4.0  # s of the past that is stored: a sweep of 0.1 s may be requested 2 s later
+_DOOR_INTERVAL = 0.1  # s between updates of the doors, which move by 0.1 rad meanwhile
+_MAX_STEPS = 100  # steps between updates of the doors
 
 
 class Body:
-    """Six wheels, four of them driven, and the inertial unit, in a world that stops it.
+    """Six wheels, four of them driven, and the inertial unit, in a world with obstacles.
 
-    It is a disc of the radius that the world's robot has: walls, boxes, cylinders and doors stop it
-    or make it slide along; people walk round it. The same seed, commands and times give the same
-    readings, in however many steps it is advanced.
+    The outline is a disc with the radius of the world's robot: walls, boxes, cylinders and doors stop it
+    or make it slide along; people avoid it. Equal seeds, commands and times give equal readings, whatever
+    the steps in which it is advanced.
 
     Parameters
     ----------
-    world : where it stands; it begins at the start of the world's way
-    robot : its encoders and inertial unit; what is left out reads without faults
-    seed : of every random draw; each fault has a stream of its own
+    world : the world; the robot starts at the start of its drive
+    robot : its encoders and inertial unit; missing devices give perfect readings
+    seed : seed of all random draws; each fault has its own stream
     drivetrain : motors and driven wheels
 
     Raises
@@ -75,17 +75,17 @@ class Body:
         self._state = np.zeros(8)
         self._state[:3] = world.robot.start
         self._history = np.tile(self._state, (round(MEMORY / STEP), 1))
-        self._told, self._stalled = np.zeros(2), np.zeros(2, np.bool_)
+        self._commanded, self._stalled = np.zeros(2), np.zeros(2, np.bool_)
         self._motors = self._motor_constants()
-        self.load = self.drivetrain.load  # may change as it drives
-        self._doors_seen = -math.inf
+        self.load = self.drivetrain.load  # may be changed during the drive
+        self._doors_updated = -math.inf
 
     def _check(self) -> None:
-        reach = self.drivetrain.top_speed * STEP
-        if self.world.robot.radius <= 2.0 * reach:
+        min_radius = 2.0 * self.drivetrain.top_speed * STEP
+        if self.world.robot.radius <= min_radius:
             raise ConfigError(
                 f"robot.radius = {self.world.robot.radius} m: too small to stop at walls; "
-                f"give it more than {2.0 * reach:g} m"
+                f"it must be larger than {min_radius:g} m"
             )
 
     def _motor_constants(self) -> Array:
@@ -94,45 +94,45 @@ class Body:
         change = train.acceleration * STEP
         return np.array([STEP, lag, change, train.effective_track, self.world.robot.radius])
 
-    # ------------------------------------------------------------------ what is done to it
+    # ------------------------------------------------------------------ commands
 
     def drive(self, left: float, right: float) -> None:
-        """Tell the motors the surface speeds of both wheels a side, in m/s, cut to the top speed."""
+        """Command the surface speeds of the left and right wheels, m/s, clipped to the top speed."""
         if not (math.isfinite(left) and math.isfinite(right)):
-            raise ValueError(f"wheel speeds of {left} and {right} m/s are no motion")
+            raise ValueError(f"wheel speeds of {left} and {right} m/s are not finite")
         top = self.drivetrain.top_speed
-        self._told[:] = np.clip([left, right], -top, top)
+        self._commanded[:] = np.clip([left, right], -top, top)
 
     def stall(self, side: str, on: bool) -> None:
         """Block the motors of one side ("left" or "right"), or free them again."""
         self._stalled[("left", "right").index(side)] = on
 
     def advance(self, time: float) -> None:
-        """Move on until a time in s since the beginning; does nothing for a time that has passed."""
+        """Simulate up to a time in s since the start; do nothing if the time has passed."""
         end = math.floor(time / STEP + 1e-6)
         while self._steps < end:
-            self._run(min(end - self._steps, _MOST))
+            self._run(min(end - self._steps, _MAX_STEPS))
 
     def _run(self, steps: int) -> None:
-        self._look_at_doors()
-        told = np.where(self._stalled, 0.0, self._told * (1.0 - self.load))
+        self._update_doors()
+        command = np.where(self._stalled, 0.0, self._commanded * (1.0 - self.load))
         driven = run(
-            self._state, self._history, self._steps, steps, told, self._motors, self._things
+            self._state, self._history, self._steps, steps, command, self._motors, self._obstacles
         )
         self._steps += steps
         self._wheels.roll(driven)
 
-    def _look_at_doors(self) -> None:
-        if self.time - self._doors_seen >= _DOORS:
-            self._doors_seen = self.time if any(d.open for d in self.world.doors) else math.inf
+    def _update_doors(self) -> None:
+        if self.time - self._doors_updated >= _DOOR_INTERVAL:
+            self._doors_updated = self.time if any(d.open for d in self.world.doors) else math.inf
             segments = np.vstack([self.scene.segments, self.scene.leaves(self.time)])
-            self._things = np.ascontiguousarray(segments), self.scene.circles
+            self._obstacles = np.ascontiguousarray(segments), self.scene.circles
 
-    # ------------------------------------------------------------------ how it is
+    # ------------------------------------------------------------------ state
 
     @property
     def time(self) -> float:
-        """Until when it has moved, in s since the beginning."""
+        """Time simulated so far, s since the start."""
         return self._steps * STEP
 
     @property
@@ -147,13 +147,13 @@ class Body:
         return np.array([self._state[SPEED], self._state[TURN_RATE]])
 
     @property
-    def told(self) -> Array:
-        """Surface speeds (2,) m/s that the motors are told, left first."""
-        return self._told.copy()
+    def commanded(self) -> Array:
+        """Commanded surface speeds (2,) m/s, left first."""
+        return self._commanded.copy()
 
     @property
     def motors(self) -> Array:
-        """Surface speeds (2,) m/s at which the driven wheels turn, left first."""
+        """Actual surface speeds (2,) m/s of the driven wheels, left first."""
         return self._state[LEFT : LEFT + 2].copy()
 
     @property
@@ -167,35 +167,35 @@ class Body:
         return float(wrap(self._state[HEADING]))
 
     def at(self, times: Array) -> Array:
-        """Return the poses (k, 3) at times (k,) s within the memory; at its ends beyond."""
+        """Return the poses (k, 3) at times (k,) s, clipped to the stored past."""
         x, y, heading = self._recall(np.asarray(times, dtype=np.float64))[:, :3].T
         return np.column_stack([x, y, wrap(heading)])
 
     def _recall(self, times: Array) -> Array:
-        """Return the states (k, 8) at times (k,), by interpolation between two steps."""
+        """Return the states (k, 8) at times (k,), interpolated between two steps."""
         oldest = max(0, self._steps - len(self._history) + 1)
-        place = np.clip(times / STEP, oldest, self._steps)
-        first = np.minimum(place.astype(np.int64), max(self._steps - 1, 0))
-        part = (place - first)[:, None]
+        steps = np.clip(times / STEP, oldest, self._steps)
+        first = np.minimum(steps.astype(np.int64), max(self._steps - 1, 0))
+        part = (steps - first)[:, None]
         rows = self._history[first % len(self._history)]
         return np.asarray(rows + part * (self._history[(first + 1) % len(self._history)] - rows))
 
-    # ------------------------------------------------------------------ what its sensors read
+    # ------------------------------------------------------------------ sensor readings
 
     def wheel_angles(self) -> tuple[float, float]:
-        """Return how far the passive wheels have turned, in rad, accumulated, left first."""
+        """Return the accumulated angles of the passive wheels, rad, left first."""
         return self._wheels.angles()
 
     def inertial(self) -> tuple[Array, Array]:
         """Return angular velocity (3,) rad/s and specific force (3,) m/s^2 at base_link.
 
-        Each is the mean over the unit's period until now, with noise of its own in every reading.
+        Each is the mean over the unit's last period, with independent noise in every reading.
         """
         unit = self._imu
-        then, present = self._recall(np.array([self.time - 1.0 / unit.rate, self.time]))
-        way, turn, gain = (present - then)[[WAY, HEADING, SPEED]] * unit.rate
-        rates = np.array([0.0, 0.0, turn])
-        forces = np.array([gain, way * turn, unit.gravity])
+        before, now = self._recall(np.array([self.time - 1.0 / unit.rate, self.time]))
+        speed, turn_rate, acceleration = (now - before)[[DISTANCE, HEADING, SPEED]] * unit.rate
+        rates = np.array([0.0, 0.0, turn_rate])
+        forces = np.array([acceleration, speed * turn_rate, unit.gravity])
         noise = self._noise.standard_normal((2, 3))
         return (
             rates + unit.gyro_bias_sigma * self._bias[0] + unit.gyro_sigma * noise[0],
@@ -211,7 +211,7 @@ class _PassiveWheels:
         self._counts = encoders.counts
         self._radii, track, phase = build(encoders, building)
         self._state = np.zeros(6)
-        self._state[ROLLED:] = phase
+        self._state[WHEEL_ANGLE:] = phase
         self._faults = np.array(
             [
                 0.5 * track,
@@ -224,7 +224,7 @@ class _PassiveWheels:
         )
 
     def roll(self, driven: Array) -> None:
-        """Roll along steps of way and turn (n, 2)."""
+        """Roll along steps of distance and turn (n, 2)."""
         n = len(driven)
         draws = (
             self._slip.standard_normal(n),
@@ -234,5 +234,5 @@ class _PassiveWheels:
         roll(self._state, driven, self._faults, self._radii, draws)
 
     def angles(self) -> tuple[float, float]:
-        left, right = quantise(self._state[ROLLED:], self._counts).tolist()
+        left, right = quantise(self._state[WHEEL_ANGLE:], self._counts).tolist()
         return left, right

@@ -1,4 +1,4 @@
-"""The lidar on a body that is moved in real time: the sweeps that it reads as the body goes."""
+"""The sweeps of a lidar on a body that moves in real time."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from impslam.types import Array
 
 
 class Sweeps:
-    """What the lidar on a body reads, as the body moves."""
+    """The sweeps of the lidar on a body."""
 
     def __init__(self, body: Body, seed: int = 0, lidar: Lidar | None = None) -> None:
         self._body = body
@@ -21,12 +21,12 @@ class Sweeps:
         )
 
     def ranges(self, time: float) -> Array:
-        """Return what the beams (n,) of the sweep that began at `time` read, in m; 0: no echo.
+        """Return the ranges (n,) of the sweep that began at `time`, m; 0: no echo.
 
         Raises
         ------
         ValueError
-            If the sweep has not ended yet, or began before the body's memory does.
+            If the sweep has not ended yet, or began before the body's stored past.
         """
         now = self._body.time
         if not now - MEMORY + STEP <= time <= now - self._simulator.duration + STEP:

@@ -1,4 +1,4 @@
-"""What the lidar reads: a sweep from a moving robot through a world in which things move."""
+"""Simulates the sweeps of a lidar on a moving robot in a world with moving objects."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from impslam.simulation.robot import Lidar
 from impslam.simulation.scene import Scene
 from impslam.types import Array, Ints
 
-_PARTS = np.linspace(-0.4, 0.4, 5)  # middles of five equal parts of a beam's width
+_PARTS = np.linspace(-0.4, 0.4, 5)  # centres of five equal parts of a beam's width
 
 
 class LidarSimulator:
-    """Sweeps of one lidar along one path; keeps the run's bias and the noise stream."""
+    """The sweeps of a lidar along a path; holds the run's bias and the noise stream."""
 
     def __init__(
         self, lidar: Lidar, scene: Scene, trajectory: Path, rng: np.random.Generator
@@ -33,26 +33,26 @@ class LidarSimulator:
 
     @property
     def limits(self) -> tuple[float, float]:
-        """Smallest and largest range it measures, in m."""
+        """Minimum and maximum range, m."""
         return self._lidar.range_min, self._lidar.range_max
 
     def ranges(self, time: float) -> Array:
-        """Return what the beams (n,) of the sweep that begins at a time read, in m."""
+        """Return the measured ranges (n,) of the sweep that begins at a time, m."""
         exact, cosines = self._cast(time)
-        return self._spoil(exact, cosines)
+        return self._add_faults(exact, cosines)
 
     def _cast(self, time: float) -> tuple[Array, Array]:
         lidar, scene = self._lidar, self._scene
         lasers = laser_poses(self._trajectory.at(time + self.time_offsets), lidar.mount)
-        middle = 0.5 * (lasers[0, :2] + lasers[-1, :2])
-        slack = float(np.hypot(*(lasers[:, :2] - middle).T).max())
-        standing = scene.near(middle, lidar.range_max + slack)
+        centre = 0.5 * (lasers[0, :2] + lasers[-1, :2])
+        spread = float(np.hypot(*(lasers[:, :2] - centre).T).max())
+        static = scene.near(centre, lidar.range_max + spread)
         moving = scene.moving(time, time + self.duration)
         fractions = self.time_offsets / max(self.duration, 1e-9)
 
         def cast(beams: Ints, angles: Array) -> tuple[Array, Array]:
             timed = lasers[beams], angles, fractions[beams]
-            return trace(*timed, standing, moving, lidar.range_max)[:2]
+            return trace(*timed, static, moving, lidar.range_max)[:2]
 
         ranges, cosines = cast(np.arange(lidar.beams, dtype=np.int64), self.angles)
         edges = _edges(ranges, lidar.edge) if lidar.divergence else np.empty(0, np.int64)
@@ -62,11 +62,11 @@ class LidarSimulator:
             ranges[edges] = _mix(mixed.reshape(parts.shape))
         return ranges, cosines
 
-    def _spoil(self, exact: Array, cosines: Array) -> Array:
-        """Return the readings of exact ranges: noise, bias, resolution, losses and limits."""
+    def _add_faults(self, exact: Array, cosines: Array) -> Array:
+        """Return ranges with noise, bias, resolution, losses and limits, given exact ranges."""
         lidar = self._lidar
-        noise, luck = self._rng.standard_normal(len(exact)), self._rng.random(len(exact))
-        seen = np.isfinite(exact) & (luck >= lidar.dropout)
+        noise, draws = self._rng.standard_normal(len(exact)), self._rng.random(len(exact))
+        seen = np.isfinite(exact) & (draws >= lidar.dropout)
         seen &= cosines >= np.cos(min(lidar.grazing, 0.5 * np.pi))
         read = np.where(seen, exact, 0.0)
         read = read + self._bias + (lidar.sigma + lidar.sigma_rate * read) * noise
@@ -85,17 +85,17 @@ def laser_poses(poses: Array, mount: tuple[float, float, float]) -> Array:
 
 
 def _edges(ranges: Array, jump: float) -> Ints:
-    """Return the indices of beams beside which the range jumps."""
+    """Return the indices of beams next to a range jump."""
     far = np.where(np.isfinite(ranges), ranges, 1e3)
     jumps = np.abs(np.diff(far)) > jump
     return np.flatnonzero(np.append(jumps, False) | np.insert(jumps, 0, False))
 
 
 def _mix(parts: Array) -> Array:
-    """Return what beams read whose parts (n, k) end at different ranges.
+    """Return the ranges of beams, given those of their parts (n, k).
 
-    The URG-04LX compares phases: a beam that falls on two things reads between them, by the shares
-    of its light; parts without an echo add nothing.
+    The URG-04LX compares phases: a beam that hits two surfaces measures a range between them, weighted by
+    the shares of its light; parts without an echo do not count.
     """
     hit = np.isfinite(parts)
     number = hit.sum(1)

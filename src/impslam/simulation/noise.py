@@ -1,4 +1,4 @@
-"""What the wheels and the inertial unit read when the robot moves as it does."""
+"""Simulates the readings of the wheel encoders and the inertial unit along a trajectory."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from impslam.types import Array
 def wheel_angles(
     encoders: WheelEncoders, trajectory: Trajectory, times: Array, rng: np.random.Generator
 ) -> Array:
-    """Return accumulated left and right wheel angles (k, 2) rad at times (k,) s from 0 on.
+    """Return accumulated left and right wheel angles (k, 2) rad at times (k,) s, starting at 0.
 
-    Each fault draws from a stream of its own, so that switching one off leaves the others.
+    Each fault has its own random stream, so that switching one off does not change the others.
     """
     building, slipping, skidding, noise = rng.spawn(4)
     radii, track, phase = build(encoders, building)
-    way, turn = (np.diff(driven) for driven in trajectory.travel(times))
+    distance, turn = (np.diff(driven) for driven in trajectory.travel(times))
     kept = 1.0 - _slip(encoders, turn / np.diff(times), slipping)
-    travel = way[:, None] + 0.5 * track * (kept * turn)[:, None] * np.array([-1.0, 1.0])
+    travel = distance[:, None] + 0.5 * track * (kept * turn)[:, None] * np.array([-1.0, 1.0])
     travel = np.column_stack([_skid(encoders, travel[:, side], skidding) for side in (0, 1)])
     travel += np.sqrt(encoders.noise * np.abs(travel)) * noise.standard_normal(travel.shape)
     angles = phase + np.vstack([np.zeros(2), np.cumsum(travel / radii, axis=0)])
@@ -30,7 +30,7 @@ def wheel_angles(
 
 
 def build(encoders: WheelEncoders, rng: np.random.Generator) -> tuple[Array, float, Array]:
-    """Return this robot's true radii (2,), true track and where its encoders begin (2,)."""
+    """Draw a robot's true radii (2,), true track and initial encoder angles (2,)."""
     error = rng.standard_normal(3)
     phase = rng.uniform(0.0, 2 * math.pi, 2) if encoders.counts else np.zeros(2)
     radii = encoders.wheel_radius * (1.0 + encoders.radius_sigma * error[:2])
@@ -38,7 +38,7 @@ def build(encoders: WheelEncoders, rng: np.random.Generator) -> tuple[Array, flo
 
 
 def _slip(encoders: WheelEncoders, rates: Array, rng: np.random.Generator) -> Array:
-    """Return the share of rotation (k,) that the wheels miss, one draw per turn."""
+    """Return the share of rotation (k,) that the wheels lose, drawn once per turn."""
     turning = np.abs(rates) > encoders.turn_rate
     begins = turning & ~np.concatenate([[False], turning[:-1]])
     number = np.cumsum(begins)
@@ -47,20 +47,20 @@ def _slip(encoders: WheelEncoders, rates: Array, rng: np.random.Generator) -> Ar
 
 
 def _skid(encoders: WheelEncoders, travel: Array, rng: np.random.Generator) -> Array:
-    """Return one wheel's travel (k,) without the stretches on which the wheel stuck."""
+    """Return a wheel's travel (k,) without the distances over which the wheel stuck."""
     ends = np.cumsum(np.abs(travel))
     total = float(ends[-1]) if len(ends) else 0.0
     number = int(rng.poisson(encoders.skid_rate * total))
     lost = np.zeros_like(ends)
-    places, lengths = rng.uniform(0.0, total, number), rng.exponential(1.0, number)
-    for place, length in zip(places, lengths * encoders.skid_length, strict=True):
-        lost += np.clip(ends - place, 0.0, length)
+    starts, lengths = rng.uniform(0.0, total, number), rng.exponential(1.0, number)
+    for start, length in zip(starts, lengths * encoders.skid_length, strict=True):
+        lost += np.clip(ends - start, 0.0, length)
     lost = np.diff(lost, prepend=0.0)
     return np.asarray(np.sign(travel) * np.maximum(np.abs(travel) - lost, 0.0))
 
 
 def quantise(angles: Array, counts: int) -> Array:
-    """Return angles in rad as an encoder of so many counts a turn reads them; 0: continuous."""
+    """Return angles in rad as read by an encoder with `counts` per turn; 0: continuous."""
     if not counts:
         return angles
     step = 2 * math.pi / counts
@@ -70,14 +70,14 @@ def quantise(angles: Array, counts: int) -> Array:
 def inertial(
     unit: InertialUnit, trajectory: Trajectory, times: Array, rng: np.random.Generator
 ) -> tuple[Array, Array]:
-    """Return angular velocities (k, 3) and specific forces (k, 3) at times (k,) s from 0 on.
+    """Return angular velocities (k, 3) and specific forces (k, 3) at times (k,) s, starting at 0.
 
-    Each reading is the mean over the period that ends with it, so that the sum of the gyro's
-    readings is the angle turned; the first one repeats the second.
+    Each reading is the mean over the period that it ends, so that the gyro's readings add up to the angle
+    turned; the first one repeats the second.
     """
     period = np.diff(times)
-    way, turn = (np.diff(driven) for driven in trajectory.travel(times))
-    v, omega = way / period, turn / period
+    distance, turn = (np.diff(driven) for driven in trajectory.travel(times))
+    v, omega = distance / period, turn / period
     still = np.zeros_like(v)
     rates = np.column_stack([still, still, omega])
     forces = np.column_stack([np.diff(v, prepend=v[:1]) / period, v * omega, still + unit.gravity])

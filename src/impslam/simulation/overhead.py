@@ -1,4 +1,4 @@
-"""The overhead camera over a simulated world: pictures with distortion, blur, noise, and its setup."""
+"""An overhead camera over a simulated world: pictures with distortion, blur and noise."""
 
 from __future__ import annotations
 
@@ -33,27 +33,27 @@ WALLS = ((196, 176, 150), (150, 178, 190), (178, 190, 154), (192, 158, 158), (16
 WALL_HEIGHT, CYLINDER_HEIGHT, PERSON_HEIGHT = 0.6, 0.4, 1.75  # m
 SHOULDERS = 0.22  # m, radius of a person from above
 TILE = 0.5  # m, of the floor
-SHEET = 0.45  # m, radius of what covers the robot while it is hidden
-CARD = 0.25  # white around a marker, in its size: two cells
-FLOOR_SIZE = 2.0  # of a marker on the floor, in that of the robot's
+SHEET = 0.45  # m, radius of the sheet over the robot while it is hidden
+CARD = 0.25  # white margin of a marker, as a share of its size: two cells
+FLOOR_SIZE = 2.0  # size of the floor's markers, relative to the robot's
 FLOOR_IDS = range(10, 18)
-FINEST = 16.0  # px: smaller markers are not read reliably
-EXPOSURES = 3  # moments of an exposure that are averaged
-BORDER = 8  # px around the robot, so that its blur ends within
-NOISE_TILE = 64  # px by which the noise is shifted from picture to picture
+MIN_MARKER_PIXELS = 16.0  # px; smaller markers are not read reliably
+EXPOSURES = 3  # times that are averaged for an exposure
+BORDER = 8  # px around the robot, more than its blur
+NOISE_TILE = 64  # px, maximum shift of the noise between pictures
 
 
-def stand_over(device: OverheadCamera, scene: Scene) -> Camera:
-    """Return the camera over the middle of a world, its width along the longer side.
+def camera_above(device: OverheadCamera, scene: Scene) -> Camera:
+    """Return the camera above the centre of a world, its width along the longer side.
 
     Raises
     ------
     ConfigError
-        If it does not see the whole way, or the marker too small.
+        If it does not see the whole path, or the marker appears too small.
     """
     plan = scene.world.robot
-    way = np.vstack([plan.start[:2], plan.waypoints])
-    corners = np.vstack([way, scene.segments.reshape(-1, 2)])
+    path = np.vstack([plan.start[:2], plan.waypoints])
+    corners = np.vstack([path, scene.segments.reshape(-1, 2)])
     low, high = corners.min(axis=0), corners.max(axis=0)
     along = np.array([1.0, 0, 0]) if np.argmax(high - low) == 0 else np.array([0, 1.0, 0])
     down = np.array([0.0, 0.0, -1.0])
@@ -66,53 +66,53 @@ def stand_over(device: OverheadCamera, scene: Scene) -> Camera:
     vector[8:10] = 0.5 * (device.width - 1), 0.5 * (device.height - 1)
     vector[10:14] = device.distortion
     camera = Camera(device.width, device.height, vector, np.zeros((SIZE, SIZE)))
-    _check(device, camera, np.column_stack([way, np.full(len(way), device.marker_height)]))
+    _check(device, camera, np.column_stack([path, np.full(len(path), device.marker_height)]))
     return camera
 
 
-def _check(device: OverheadCamera, camera: Camera, way: Array) -> None:
-    if not camera.sees(camera.project(way)).all():
+def _check(device: OverheadCamera, camera: Camera, path: Array) -> None:
+    if not camera.sees(camera.project(path)).all():
         raise ConfigError(
-            f"overhead.above = {device.above:g}: the camera does not see the whole way; hang it "
-            "higher or give it a shorter overhead.focal"
+            f"overhead.above = {device.above:g}: the camera does not see the whole path; increase it, "
+            "or reduce overhead.focal"
         )
-    wide = device.focal * device.marker_size / (device.above - device.marker_height)
-    if wide < FINEST:
+    width = device.focal * device.marker_size / (device.above - device.marker_height)
+    if width < MIN_MARKER_PIXELS:
         raise ConfigError(
-            f"overhead.marker_size = {device.marker_size:g}: is {wide:.0f} px wide from "
-            f"{device.above:g} m, and must be {FINEST:.0f}; make it "
-            f"{device.marker_size * FINEST / wide:.2f} m"
+            f"overhead.marker_size = {device.marker_size:g}: is {width:.0f} px wide from "
+            f"{device.above:g} m, and must be {MIN_MARKER_PIXELS:.0f}; make it "
+            f"{device.marker_size * MIN_MARKER_PIXELS / width:.2f} m"
         )
 
 
 class Film:
-    """The pictures that a camera takes of a run."""
+    """The pictures of a run."""
 
     def __init__(
         self, device: OverheadCamera, scene: Scene, path: Path, rng: np.random.Generator
     ) -> None:
         self._device, self._scene, self._path, self._rng = device, scene, path, rng
-        self.camera = stand_over(device, scene)
+        self.camera = camera_above(device, scene)
         self._brush = Brush(self.camera)
         self._whole = slice(0, device.height), slice(0, device.width)
         self._sharp = self._background()
         self._still = self._blurred(self._sharp)
 
     def picture(self, time: float) -> Pixels:
-        """Return the picture (height, width, 3), blue, green, red, whose exposure is about a time."""
+        """Return the picture (height, width, 3), blue, green, red, with its exposure centred at a time."""
         image = self._still.copy()
-        place = self._path.at(np.array([time]))[0]
-        box = self._brush.box(self._body(place), margin=BORDER)
+        pose = self._path.at(np.array([time]))[0]
+        box = self._brush.box(self._body(pose), margin=BORDER)
         if box is not None:
             half = 0.5 * self._device.exposure
-            moments = np.clip(np.linspace(time - half, time + half, EXPOSURES), 0.0, None)
-            patches = [self._robot(pose, box) for pose in self._path.at(moments)]
+            times = np.clip(np.linspace(time - half, time + half, EXPOSURES), 0.0, None)
+            patches = [self._robot(moved, box) for moved in self._path.at(times)]
             image[box] = self._blurred(np.mean(patches, axis=0, dtype=np.float32))
-        self._cover(image, place, time)
+        self._cover(image, pose, time)
         return self._noisy(image)
 
     def _robot(self, pose: Array, box: Box) -> Canvas:
-        """Return the sharp scene in a box, with the robot at a pose (3,): a plate with a marker."""
+        """Return the sharp scene in a box with the robot, a plate with a marker, at a pose (3,)."""
         patch, height = self._sharp[box].copy(), self._device.marker_height
         self._brush.hull(patch, box, self._body(pose), BODY)
         middle = self._brush.box(around(pose[:2], self._device.marker_size, height))
@@ -126,15 +126,15 @@ class Film:
         return np.where(hiding, self._sharp[box], patch)
 
     def _body(self, pose: Array) -> Array:
-        """Return the outline (n, 3) m of the robot at a pose; its plate carries the whole card."""
+        """Return the outline (n, 3) m of the robot at a pose; its plate is as large as the card."""
         radius = max(self._scene.world.robot.radius, self._device.marker_size)
         return around(pose[:2], radius, 0.0, self._device.marker_height)
 
-    def _cover(self, image: Pixels, place: Array, time: float) -> None:
-        """Paint what moves, and stands higher than the robot, in place."""
+    def _cover(self, image: Pixels, pose: Array, time: float) -> None:
+        """Paint moving objects that are higher than the robot, in place."""
         for begin, end in self._device.hidden:
             if begin <= time <= end:
-                sheet = around(place[:2], SHEET, self._device.marker_height + 0.1)
+                sheet = around(pose[:2], SHEET, self._device.marker_height + 0.1)
                 self._brush.hull(image, self._whole, sheet, CLOTH)
         for leaf in self._scene.leaves(time):
             self._brush.hull(image, self._whole, _upright(leaf, 0.0), WOOD)
@@ -151,7 +151,7 @@ class Film:
         return card(marker_cells(Marker().id), side, CARD * side)
 
     def _background(self) -> Canvas:
-        """Return all that stands still, sharp."""
+        """Return the static scene without blur."""
         canvas = self._floor()
         for point, number in zip(floor_points(self.camera), FLOOR_IDS, strict=True):
             side = FLOOR_SIZE * self._device.marker_size
@@ -173,7 +173,7 @@ class Film:
         return canvas
 
     def _floor(self) -> Canvas:
-        """Return a floor of tiles with a grain."""
+        """Return a tiled floor with some grain."""
         laid = self.camera.on_plane(grid(self.camera), 0.0)
         tiles = np.floor(laid / TILE).sum(axis=1) % 2
         grain = np.random.default_rng(0).standard_normal(len(tiles))
@@ -182,7 +182,7 @@ class Film:
 
     @cached_property
     def _hiding(self) -> Pixels:
-        """Where things stand between the camera and the height of the marker, (height, width)."""
+        """Mask (height, width) of objects between the camera and the marker's height."""
         mask = np.zeros((self._device.height, self._device.width), np.uint8)
         low = self._device.marker_height
         for wall in self._scene.segments:
@@ -202,20 +202,20 @@ class Film:
 
     @cached_property
     def _grain(self) -> Any:
-        """Noise for a picture and some more, cut out anew for each: drawing it takes too long."""
+        """Noise for a picture and a margin, from which each picture takes a part, as drawing is slow."""
         size = (self._device.height + NOISE_TILE, self._device.width + NOISE_TILE, 3)
         noise = self._rng.standard_normal(size, np.float32)
         return np.rint(self._device.noise * noise).astype(np.int16)
 
 
 def blurred(canvas: Canvas, sigma: float) -> Pixels:
-    """Return a canvas as the sensor gets it through a lens with a blur, px."""
+    """Return the picture of a canvas through a lens with a blur, px."""
     soft = cv2.GaussianBlur(canvas, (0, 0), sigma) if sigma > 0.0 else canvas
     return np.clip(np.rint(soft), 0, 255).astype(np.uint8)
 
 
 def floor_points(camera: Camera) -> Array:
-    """Return where the markers on the floor lie, (8, 2) m: along the borders of the picture."""
+    """Return the positions of the floor's markers, (8, 2) m, along the borders of the picture."""
     share = np.array(
         [[0.08, 0.12], [0.5, 0.08], [0.92, 0.12], [0.95, 0.5], [0.92, 0.88], [0.5, 0.92], [0.08, 0.88],
          [0.05, 0.5]]
@@ -224,12 +224,12 @@ def floor_points(camera: Camera) -> Array:
 
 
 def marker_cells(number: int) -> Pixels:
-    """Return a marker of the robot's dictionary, one pixel a cell."""
+    """Return a marker of the robot's dictionary, one pixel per cell."""
     kind = dictionary(Marker().dictionary)
     return np.asarray(cv2.aruco.generateImageMarker(kind, number, kind.markerSize + 2))
 
 
 def _upright(ends: Array, low: float) -> Array:
-    """Return the corners (4, 3) m of a wall with ends (4,), from a height on."""
+    """Return the corners (4, 3) m of a wall with ends (4,), above a height."""
     x1, y1, x2, y2 = ends
     return np.array([[x1, y1, low], [x2, y2, low], [x2, y2, WALL_HEIGHT], [x1, y1, WALL_HEIGHT]])

@@ -1,4 +1,4 @@
-"""Files of a simulated overhead camera: the video, pictures of a board, and what was measured."""
+"""Files of a simulated overhead camera: the video, pictures of a board, and the measured setup."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ from impslam.simulation.simulate import ticks
 from impslam.types import Array
 
 CODECS = {".mp4": "mp4v", ".avi": "MJPG", ".mkv": "FFV1"}
-VIEWS = 16  # of the board
+VIEWS = 16  # number of pictures of the board
 BOARD = Board(columns=10, rows=7, square=0.04, views="board")
 OUTLINE = BOARD.square * np.array([[x, y, 0] for x in (-6.0, 6.0) for y in (-4.5, 4.5)])
-SHARES = (0.3, 0.5)  # of the picture's width that the board fills
-SLANT = 0.6  # rad, to which it is tilted
+SHARES = (0.3, 0.5)  # range of the share of the picture's width that the board fills
+SLANT = 0.6  # rad, maximum tilt of the board
 
 
 def write_film(
@@ -49,13 +49,13 @@ def write_film(
 
     Parameters
     ----------
-    start : s, stamp of the run's beginning
-    tick : is called with the time in s that the film has reached
+    start : stamp of the start of the run, s
+    tick : called with the current time of the film, s
 
     Raises
     ------
     ConfigError
-        If the camera does not see the way, or the video cannot be written.
+        If the camera does not see the whole path, or the video cannot be written.
     """
     streams = [np.random.default_rng([seed, number]) for number in range(3)]
     film = Film(device, scene, trajectory, streams[0])
@@ -73,7 +73,7 @@ def _write_video(
     path: Path, device: OverheadCamera, film: Film, duration: float, tick: Callable[[float], None]
 ) -> None:
     if path.suffix.lower() not in CODECS:
-        raise ConfigError(f"{path}: a video is written as {', '.join(CODECS)}; name it so")
+        raise ConfigError(f"{path}: the name of a video must end in {', '.join(CODECS)}")
     codec = cv2.VideoWriter.fourcc(*CODECS[path.suffix.lower()])
     size = device.width, device.height
     ffmpeg.silence()
@@ -89,12 +89,12 @@ def _write_video(
 
 
 def _views(device: OverheadCamera, camera: Camera, rng: np.random.Generator) -> Iterator[Pixels]:
-    """Yield pictures of a board held before the camera, all over the picture and at many slants."""
+    """Yield pictures of a board at various positions in the picture and various tilts."""
     brush = Brush(camera)
     squares = np.indices((BOARD.rows, BOARD.columns)).sum(axis=0) % 2 * 255
     paint = card(squares.astype(np.uint8), BOARD.columns * BOARD.square, BOARD.square)
     for number in range(VIEWS):
-        held = brush.standing(_stand(device, number, rng))
+        held = brush.with_extrinsics(_extrinsics(device, number, rng))
         canvas = np.full((device.height, device.width, 3), 110.0, np.float32)
         box = held.box(OUTLINE)
         if box is not None:
@@ -103,12 +103,12 @@ def _views(device: OverheadCamera, camera: Camera, rng: np.random.Generator) -> 
         yield np.clip(blurred(canvas, device.blur) + grain, 0, 255).astype(np.uint8)
 
 
-def _stand(device: OverheadCamera, number: int, rng: np.random.Generator) -> Array:
-    """Return how the camera stands (6,) to the board in a view."""
+def _extrinsics(device: OverheadCamera, number: int, rng: np.random.Generator) -> Array:
+    """Return the camera's extrinsics (6,) relative to the board in a view."""
     share = rng.uniform(*SHARES)
     depth = device.focal * BOARD.columns * BOARD.square / (share * device.width)
-    place = np.array([number % 4, number // 4]) / 3.0 - 0.5  # a grid of 4 x 4
-    side = place * (1.0 - 1.2 * share) * np.array([device.width, device.height]) / device.focal
+    position = np.array([number % 4, number // 4]) / 3.0 - 0.5  # a grid of 4 x 4
+    side = position * (1.0 - 1.2 * share) * np.array([device.width, device.height]) / device.focal
     facing = np.diag([1.0, -1.0, -1.0])  # the board's x to the right, its y up
     turned = cv2.Rodrigues(rng.uniform(-SLANT, SLANT, 3))[0] @ facing
     return np.concatenate([cv2.Rodrigues(turned)[0].ravel(), depth * side, [depth]])
@@ -122,12 +122,12 @@ def _measured(
     board: str,
     start: float,
 ) -> Setup:
-    """Return what somebody with a tape would write down: each length with its error."""
+    """Return the setup as measured by tape, with an error in each length."""
     sigma = device.survey_sigma
-    places = floor_points(camera) + sigma * rng.standard_normal((len(FLOOR_IDS), 2))
+    measured = floor_points(camera) + sigma * rng.standard_normal((len(FLOOR_IDS), 2))
     points = tuple(
         FloorPoint(x=x, y=y, marker=number)
-        for (x, y), number in zip(places.round(4).tolist(), FLOOR_IDS, strict=True)
+        for (x, y), number in zip(measured.round(4).tolist(), FLOOR_IDS, strict=True)
     )
     height = round(device.marker_height + sigma * float(rng.standard_normal()), 4)
     marker = Marker(size=device.marker_size, height=height, height_sigma=sigma)

@@ -1,7 +1,7 @@
-"""The overhead camera's brush.
+"""Paints the pictures of the overhead camera.
 
-What is measured in the pictures (markers, discs, boards) is sampled sub-pixel by sub-pixel along the
-camera's rays, so that its edges are exactly where they are seen; the rest is polygons.
+Objects that are measured in the pictures (markers, discs, boards) are sampled at sub-pixels along the
+camera's rays, so that their edges are exact; the rest is drawn as polygons.
 """
 
 from __future__ import annotations
@@ -20,28 +20,28 @@ Pixels = npt.NDArray[np.uint8]
 Canvas = npt.NDArray[np.float32]
 Paint = Callable[[Canvas, Canvas], Canvas]
 """Colours and opacity (..., 4), blue, green, red 0 to 255 and 0 to 1, of points x, y (...) m."""
-SAMPLES = 4  # along each side of a pixel; 2 where an edge is as long as that of a board's square
-FRACTION = 4  # bits of polygons' sub-pixel coordinates
+SAMPLES = 4  # per side of a pixel; 2 suffice for edges as long as those of a board's square
+FRACTION_BITS = 4  # fractional bits of the polygons' pixel coordinates
 
 Box = tuple[slice, slice]
 """Rows and columns of a picture."""
 
 
 class Brush:
-    """Paints what a camera sees; see `Camera` for its vector."""
+    """Paints into the picture of a camera; see `Camera` for its vector."""
 
     def __init__(self, camera: Camera, rays: Canvas | None = None) -> None:
         self.camera = camera
         self._rays = _rays(camera) if rays is None else rays
 
-    def standing(self, stand: Array) -> Brush:
-        """Return the brush of the same lens that stands so (6,) to another frame."""
+    def with_extrinsics(self, extrinsics: Array) -> Brush:
+        """Return a brush for the same lens with other extrinsics (6,)."""
         camera = self.camera
-        vector = np.concatenate([stand, camera.vector[LENS]])
+        vector = np.concatenate([extrinsics, camera.vector[LENS]])
         return Brush(Camera(camera.width, camera.height, vector, camera.covariance), self._rays)
 
     def plane(self, box: Box, height: float, samples: int) -> tuple[Canvas, Canvas]:
-        """Return x, y (rows, columns) m at a height of all sub-pixels in a box."""
+        """Return x, y (rows, columns) m of all sub-pixels in a box, on the plane at a height."""
         fine = cv2.resize(
             self._rays[box], None, fx=samples, fy=samples, interpolation=cv2.INTER_LINEAR
         )
@@ -52,7 +52,7 @@ class Brush:
         return centre[0] + far * x, centre[1] + far * y
 
     def box(self, points: Array, margin: int = 2) -> Box | None:
-        """Return the box around points (n, 3) m in map; None where they are out of the picture."""
+        """Return the box around points (n, 3) m in map; None if they are outside the picture."""
         pixels = self.camera.project(points)
         low = np.maximum(np.floor(pixels.min(axis=0)).astype(int) - margin, 0)
         size = (self.camera.width, self.camera.height)
@@ -64,7 +64,7 @@ class Brush:
     def stamp(
         self, patch: Canvas, box: Box, height: float, paint: Paint, samples: int = SAMPLES
     ) -> None:
-        """Paint what lies on a plane at a height into the patch of a box, in place."""
+        """Paint a plane at a height into the patch of a box, in place."""
         colours = paint(*self.plane(box, height, samples))
         colours[..., :3] *= colours[..., 3:]
         size = patch.shape[1], patch.shape[0]
@@ -73,10 +73,10 @@ class Brush:
         patch += mean[..., :3]
 
     def hull(self, patch: Any, box: Box, points: Array, colour: tuple[int, int, int]) -> None:
-        """Paint the outline of a convex body with corners (n, 3) m into a patch, in place."""
+        """Paint a convex body with corners (n, 3) m into a patch, in place."""
         pixels = self.camera.project(points) - np.array([box[1].start, box[0].start])
-        outline = cv2.convexHull((pixels * (1 << FRACTION)).round().astype(np.int32))
-        cv2.fillPoly(patch, [outline], colour[::-1], lineType=cv2.LINE_8, shift=FRACTION)
+        outline = cv2.convexHull((pixels * (1 << FRACTION_BITS)).round().astype(np.int32))
+        cv2.fillPoly(patch, [outline], colour[::-1], lineType=cv2.LINE_8, shift=FRACTION_BITS)
 
 
 def _rays(camera: Camera) -> Canvas:
@@ -94,7 +94,7 @@ def grid(camera: Camera) -> Array:
 
 
 def around(centre: Array, radius: float, *heights: float) -> Array:
-    """Return points (n, 3) m on circles at heights."""
+    """Return points (n, 3) m on circles at some heights."""
     angles = np.linspace(0.0, 2 * np.pi, 33)[:-1]
     ring = centre + radius * np.column_stack([np.cos(angles), np.sin(angles)])
     return np.vstack([np.column_stack([ring, np.full(len(ring), z)]) for z in heights])
@@ -111,7 +111,7 @@ def disc(centre: Array, radius: float, colour: tuple[int, int, int]) -> Paint:
 
 
 def card(image: Pixels, side: float, margin: float) -> Paint:
-    """Return the paint of a grey picture of a width in m, its middle at 0, on a card of white."""
+    """Return the paint of a grey picture, `side` m wide and centred at 0, on a white card."""
     rows, columns = image.shape
     cell = np.float32(side / columns)
 

@@ -1,4 +1,4 @@
-"""The virtual camera's brush: columns of what stands in the world, above a floor of tiles."""
+"""Paints the pictures of the virtual on-board camera, column by column."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ STRIPE = 0.5  # m, width of the walls' stripes and of the floor's tiles
 def paint(
     image: Pixels, eye: Array, focal: float, above_floor: float, first: Array, second: Array
 ) -> None:
-    """Paint each column: hall, floor, then both layers (n, 7), the nearer over the farther."""
+    """Paint each column: background, floor, then both layers (n, 7), the nearer over the farther."""
     c, s = math.cos(eye[2]), math.sin(eye[2])
     for column in range(image.shape[1]):
         side = (0.5 * (image.shape[1] - 1) - column) / focal
@@ -35,7 +35,7 @@ def paint(
 
 @kernel
 def _background(strip: Pixels, focal: float) -> None:
-    """Paint the hall behind everything: a light that fades upwards."""
+    """Paint the background, with a vertical gradient."""
     rows = len(strip)
     for row in range(rows):
         slope = (0.5 * (rows - 1) - row) / focal
@@ -48,7 +48,7 @@ def _background(strip: Pixels, focal: float) -> None:
 def _floor(
     strip: Pixels, focal: float, above_floor: float, eye: Array, dx: float, dy: float
 ) -> None:
-    """Paint tiles that lie still in the world; (dx, dy) is the way on the floor per depth."""
+    """Paint tiles that are fixed in the world; (dx, dy) is the displacement on the floor per depth."""
     rows = len(strip)
     for row in range((rows + 1) // 2, rows):
         z = above_floor * focal / (row - 0.5 * (rows - 1))
@@ -61,7 +61,7 @@ def _floor(
 
 @kernel
 def _upright(strip: Pixels, focal: float, above_floor: float, thing: Array) -> None:
-    """Paint what stands in a column: [depth, height, along, light, blue, green, red]."""
+    """Paint the object in a column: [depth, height, along, light, blue, green, red]."""
     depth, height, along, light = thing[0], thing[1], thing[2], thing[3]
     if not depth < math.inf:
         return

@@ -1,7 +1,6 @@
-"""Rays against segments and circles, each beam from the laser's pose at its own time.
+"""Casts rays against segments and circles, each beam from the laser's pose at its own time.
 
-Things that move are given at the beginning and at the end of the sweep; each beam meets them where
-they are at its own fraction of it.
+Moving objects are given at the beginning and the end of the sweep and interpolated at each beam's time.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from impslam.types import Array, Ints
 def ray_segment(ray: Array, x0: float, y0: float, x1: float, y1: float) -> tuple[float, float]:
     """Return distance and cosine of incidence of a ray [x, y, cos, sin] on a segment.
 
-    Solves origin + t d = start + u e by cross products; inf if they do not meet.
+    Solves origin + t d = start + u e by cross products; the distance is inf without an intersection.
     """
     ex, ey = x1 - x0, y1 - y0
     wx, wy = x0 - ray[0], y0 - ray[1]
@@ -36,7 +35,7 @@ def ray_segment(ray: Array, x0: float, y0: float, x1: float, y1: float) -> tuple
 def ray_circle(ray: Array, x: float, y: float, radius: float) -> tuple[float, float]:
     """Return distance and cosine of incidence of a ray [x, y, cos, sin] on a circle.
 
-    From inside, the far side is met; inf if they do not meet.
+    From inside, the far side is hit; the distance is inf without an intersection.
     """
     wx, wy = x - ray[0], y - ray[1]
     along = wx * ray[2] + wy * ray[3]
@@ -53,7 +52,7 @@ def ray_circle(ray: Array, x: float, y: float, radius: float) -> tuple[float, fl
 def nearest(ray: Array, segments: Array, circles: Array, best: float) -> tuple[float, float, int]:
     """Return the nearest hit below `best` among segments (s, 4) and circles (c, 3).
 
-    The last value is what was hit: 0 to s - 1 a segment, s to s + c - 1 a circle, -1 nothing.
+    The last value is the index of the hit: 0 to s - 1 a segment, s to s + c - 1 a circle, -1 nothing.
     """
     cosine, which = 0.0, -1
     for i in range(len(segments)):
@@ -73,23 +72,23 @@ def trace(
     lasers: Array,
     angles: Array,
     fractions: Array,
-    standing: tuple[Array, Array],
+    static: tuple[Array, Array],
     moving: tuple[Array, Array],
-    reach: float,
+    max_range: float,
 ) -> tuple[Array, Array, Ints]:
-    """Return range (n,), cosine of incidence (n,) and what was hit (n,) by n beams.
+    """Return range (n,), cosine of incidence (n,) and index of the hit (n,) of n beams.
 
-    Beyond `reach` they are inf, 0 and -1. What was hit is counted through the standing segments,
-    the standing circles, the moving segments and the moving circles, in this order.
+    Beyond `max_range` they are inf, 0 and -1. Indices count the static segments, the static circles, the
+    moving segments and the moving circles, in this order.
 
     Parameters
     ----------
-    lasers : (n, 3) pose of the laser in map as each beam is fired
-    angles : (n,) rad, beams in the laser frame
+    lasers : (n, 3) pose of the laser in map at the time of each beam
+    angles : (n,) rad, directions of the beams in the laser frame
     fractions : (n,) in [0, 1], time of each beam within the sweep
-    standing : segments (s, 4) [x0, y0, x1, y1] and circles (c, 3) [x, y, radius]
+    static : segments (s, 4) [x0, y0, x1, y1] and circles (c, 3) [x, y, radius]
     moving : segments (2, m, 4) and circles (2, k, 3) at the sweep's beginning and end
-    reach : m
+    max_range : m
     """
     n = len(angles)
     ranges, cosines, hits = np.full(n, np.inf), np.zeros(n), np.full(n, -1)
@@ -100,10 +99,10 @@ def trace(
         ray[2], ray[3] = math.cos(heading), math.sin(heading)
         segments = moving[0][0] + fractions[i] * (moving[0][1] - moving[0][0])
         circles = moving[1][0] + fractions[i] * (moving[1][1] - moving[1][0])
-        best, cosine, hit = nearest(ray, standing[0], standing[1], reach)
+        best, cosine, hit = nearest(ray, static[0], static[1], max_range)
         found, other, mover = nearest(ray, segments, circles, best)
         if found < best:
-            best, cosine, hit = found, other, len(standing[0]) + len(standing[1]) + mover
-        if best < reach:
+            best, cosine, hit = found, other, len(static[0]) + len(static[1]) + mover
+        if best < max_range:
             ranges[i], cosines[i], hits[i] = best, cosine, hit
     return ranges, cosines, hits

@@ -1,4 +1,4 @@
-"""A world as the lidar meets it: segments and circles, standing and moving."""
+"""The geometry of a world for the lidar: static and moving segments and circles."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from impslam.types import Array
 
 
 class Thing(NamedTuple):
-    """What a beam can hit.
+    """An object that a beam can hit.
 
     Attributes
     ----------
     kind : "wall", "doorway" (a jamb), "room" (behind a door), "door" (its leaf), "box", "cylinder"
         or "person" (a leg)
-    part : which of the world's walls, doors, boxes, ... it is or belongs to
+    part : index of the world's wall, door, box, ... that it belongs to
     """
 
     kind: str
@@ -42,12 +42,12 @@ class Scene:
 
     @cached_property
     def segments(self) -> Array:
-        """Everything straight that stands: walls, doorways, shut doors, boxes; (s, 4) m."""
+        """Static segments of walls, doorways, doors that never open, and boxes; (s, 4) m."""
         return np.array([row for _, row in self._straight]).reshape(-1, 4)
 
     @cached_property
     def things(self) -> tuple[Thing, ...]:
-        """What there is, in the order of `segments`, `circles`, `leaves` and `legs`."""
+        """All objects, in the order of `segments`, `circles`, `leaves` and `legs`."""
         world = self.world
         return (
             *(thing for thing, _ in self._straight),
@@ -60,7 +60,7 @@ class Scene:
     def _straight(self) -> list[Straight]:
         rows = [
             (Thing("door", number), _leaf(wall, door, 0.0))
-            for number, (wall, door) in enumerate(self._hung)
+            for number, (wall, door) in enumerate(self._doors)
             if not door.open
         ]
         for number, wall in enumerate(self.world.walls):
@@ -69,26 +69,26 @@ class Scene:
                 for k, door in enumerate(self.world.doors)
                 if wall.name and door.wall == wall.name
             ]
-            rows += _pierced(wall, number, holes)
+            rows += _wall_pieces(wall, number, holes)
         for number, box in enumerate(self.world.boxes):
             rows += [(Thing("box", number), row) for row in _outline(box)]
         return rows
 
     @cached_property
     def circles(self) -> Array:
-        """Everything round that stands; (c, 3) m."""
+        """Static circles: cylinders; (c, 3) m."""
         rows = [(*part.centre, part.radius) for part in self.world.cylinders]
         return np.array(rows, dtype=np.float64).reshape(-1, 3)
 
-    def near(self, centre: Array, reach: float) -> tuple[Array, Array]:
-        """Return the standing segments and circles that come within reach of a point (2,)."""
-        close = distance_to_segments(centre, self.segments) <= reach
+    def near(self, centre: Array, radius: float) -> tuple[Array, Array]:
+        """Return the static segments and circles within a radius of a point (2,)."""
+        close = distance_to_segments(centre, self.segments) <= radius
         gap = np.hypot(*(self.circles[:, :2] - centre).T) - self.circles[:, 2]
-        return self.segments[close], self.circles[gap <= reach]
+        return self.segments[close], self.circles[gap <= radius]
 
     def leaves(self, time: float) -> Array:
-        """Return the leaves of the doors that ever open, at a time; (m, 4) m."""
-        rows = [_leaf(wall, door, time) for wall, door in self._hung if door.open]
+        """Return the leaves, at a time, of the doors that open at some time; (m, 4) m."""
+        rows = [_leaf(wall, door, time) for wall, door in self._doors if door.open]
         return np.array(rows).reshape(-1, 4)
 
     def legs(self, time: float) -> Array:
@@ -97,7 +97,7 @@ class Scene:
         return np.array(rows).reshape(-1, 3)
 
     @cached_property
-    def _hung(self) -> list[tuple[Wall, Door]]:
+    def _doors(self) -> list[tuple[Wall, Door]]:
         walls = {wall.name: wall for wall in self.world.walls}
         return [(walls[door.wall], door) for door in self.world.doors]
 
@@ -113,7 +113,7 @@ class Scene:
         )
 
     def clearance(self, point: Array, time: float) -> float:
-        """Return the distance from a point (2,) to the nearest thing at a time, in m."""
+        """Return the distance from a point (2,) to the nearest object at a time, m."""
         segments = np.vstack([self.segments, self.leaves(time)])
         circles = np.vstack([self.circles, self.legs(time)])
         gaps = np.hypot(*(circles[:, :2] - point).T) - circles[:, 2]
@@ -121,15 +121,15 @@ class Scene:
 
 
 def distance_to_segments(point: Array, segments: Array) -> Array:
-    """Return the distance of a point (2,) from each of the segments (s, 4), in m."""
+    """Return the distance of a point (2,) from each of the segments (s, 4), m."""
     start, along = segments[:, :2], segments[:, 2:] - segments[:, :2]
     square = np.maximum((along**2).sum(1), np.finfo(float).tiny)
     part = np.clip(((point - start) * along).sum(1) / square, 0.0, 1.0)
     return np.asarray(np.hypot(*(start + part[:, None] * along - point).T))
 
 
-def _pierced(wall: Wall, number: int, holes: Sequence[tuple[int, Door]]) -> list[Straight]:
-    """Return the pieces of a wall between its doors, and what is seen of the doorways."""
+def _wall_pieces(wall: Wall, number: int, holes: Sequence[tuple[int, Door]]) -> list[Straight]:
+    """Return the pieces of a wall between its doors, and the segments of its doorways."""
     rows: list[Straight] = []
     begin, thing = 0.0, Thing("wall", number)
     for k, door in sorted(holes, key=lambda hole: hole[1].at):
@@ -140,7 +140,7 @@ def _pierced(wall: Wall, number: int, holes: Sequence[tuple[int, Door]]) -> list
 
 
 def _doorway(wall: Wall, door: Door, number: int) -> list[Straight]:
-    """Return both jambs and, if there is one, the room behind."""
+    """Return both jambs and the walls of the room behind, if there is one."""
     left, right, depth = door.at, door.at + door.width, door.recess
     jambs = [[(left, 0.0), (left, depth)], [(right, 0.0), (right, depth)]]
     rows = [(Thing("doorway", number), _piece(wall, a, b)) for a, b in jambs]

@@ -1,4 +1,4 @@
-"""A run in a world: every message that the robot would have recorded, and the truth."""
+"""Simulates a run in a world: all messages of a log, and the ground truth."""
 
 from __future__ import annotations
 
@@ -25,22 +25,22 @@ from impslam.types import (
     WheelAngles,
 )
 
-VOLTS = 5.0  # V, of a turn of an MA3 (thesis 3.3.1)
+VOLTS = 5.0  # V per turn of an MA3 (thesis 3.3.1)
 Timed = tuple[float, Message]
 
 
 def simulate(world: World, robot: SimulatedRobot | None = None, seed: int = 0) -> Iterator[Message]:
-    """Yield the messages of a run in the order in which they would arrive; lazy.
+    """Yield the messages of a run lazily, in order of arrival.
 
-    A scan is stamped by its first beam and arrives after its last one, so that wheel and inertial
-    readings taken during the sweep come before it. `TruePose` comes at every `truth_rate` tick and
-    at every scan stamp. The same world, robot and seed give the same messages.
+    A scan has the stamp of its first beam and arrives after its last one, so that wheel and inertial
+    readings during the sweep precede it. There is a `TruePose` at every `truth_rate` tick and at every scan
+    stamp. Equal worlds, robots and seeds give equal messages.
 
     Parameters
     ----------
-    world : the world, with the way that the robot drives in it
+    world : the world, with the robot's drive in it
     robot : default `SimulatedRobot()`; `SimulatedRobot.perfect()` for exact readings
-    seed : of every random draw; each device has a stream of its own
+    seed : seed of all random draws; each device has its own stream
     """
     robot = robot or SimulatedRobot()
     trajectory = drive(world.robot)
@@ -63,13 +63,13 @@ def simulate(world: World, robot: SimulatedRobot | None = None, seed: int = 0) -
 def ticks(rate: float, duration: float) -> Array:
     """Return the times k / rate (k = 0, 1, ...) up to a duration, in s.
 
-    Divided, not multiplied by a period, so that equal times at different rates are equal numbers.
+    They are computed by division, so that equal times at different rates are equal numbers.
     """
     return np.arange(int(np.floor(duration * rate + 1e-9)) + 1) / rate
 
 
 def sweep_times(robot: SimulatedRobot, trajectory: Trajectory) -> Array:
-    """Return when the sweeps that end within the run begin, in s from its start."""
+    """Return the begin times of the sweeps that end within the run, s from its start."""
     if robot.lidar is None:
         return np.empty(0)
     last = trajectory.duration - robot.lidar.beam_time * (robot.lidar.beams - 1)
@@ -107,7 +107,7 @@ def _imu(
 def _pictures(
     camera: OnboardCamera, scene: Scene, trajectory: Trajectory, start: float
 ) -> Iterator[Timed]:
-    from impslam.simulation.camera import Lens, SceneCamera  # noqa: PLC0415  OpenCV, for few
+    from impslam.simulation.camera import Lens, SceneCamera  # noqa: PLC0415  OpenCV, rarely needed
 
     focal = 0.5 * camera.width / math.tan(0.5 * camera.field)
     lens = Lens(camera.width, camera.height, focal, camera.above_floor, camera.forward)

@@ -1,4 +1,4 @@
-"""How people walk: two legs along a way."""
+"""Simulates the legs of walking people."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ Leg = tuple[float, float, float]
 
 
 class Walk:
-    """One person's walk; legs are asked for twice a sweep, hence plain floats."""
+    """The walk of a person; it uses plain floats for speed, as it is called twice per sweep."""
 
     def __init__(self, person: Person) -> None:
         self._person = person
-        way = person.waypoints
-        lengths = [math.dist(a, b) for a, b in pairwise(way)]
+        points = person.waypoints
+        lengths = [math.dist(a, b) for a, b in pairwise(points)]
         self._ends = list(accumulate(lengths))
         self._along = [
             ((b[0] - a[0]) / length, (b[1] - a[1]) / length)
-            for (a, b), length in zip(pairwise(way), lengths, strict=True)
+            for (a, b), length in zip(pairwise(points), lengths, strict=True)
         ]
 
     def legs(self, time: float) -> list[Leg]:
@@ -39,18 +39,18 @@ class Walk:
         ]
 
     def _foot(self, done: float, phase: float) -> float:
-        """Return how far along the way a foot is when the body has done so much of it.
+        """Return the distance of a foot along the path, given that of the body.
 
-        A foot's way is s + stride / 2 pi sin(2 pi s / stride): at rest once a stride, twice as
-        fast as the body in between; the other foot is half a stride behind. Both come to stand
-        side by side where the way begins and ends.
+        A foot is at s + stride / 2 pi sin(2 pi s / stride): at rest once per stride and up to twice as
+        fast as the body in between; the other foot is half a stride behind. Both are side by side at the
+        ends of the path.
         """
         stride = self._person.stride
         fade = min(1.0, done / stride, (self._ends[-1] - done) / stride)
         return done + fade * stride / (2 * math.pi) * math.sin(2 * math.pi * done / stride + phase)
 
     def _place(self, distance: float, left: float) -> Leg:
-        """Return the leg at a distance along the way and so far to its left."""
+        """Return the leg at a distance along the path and an offset to its left."""
         i = min(bisect_left(self._ends, distance), len(self._ends) - 1)
         (end_x, end_y), (dx, dy) = self._person.waypoints[i + 1], self._along[i]
         missing = self._ends[i] - distance

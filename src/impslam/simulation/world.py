@@ -1,7 +1,7 @@
-"""Worlds in TOML: what stands, opens and walks, and where the robot drives.
+"""Worlds in TOML: walls, objects, doors and people, and the robot's drive.
 
-Lengths in m, times in s since the start of the run, angles in rad, all in the frame map. Walls run
-with the free space on their left, so that "behind the wall" is to the right of start -> end.
+Lengths are in m, times in s since the start of the run, angles in rad, all in the map frame. The free space
+is on the left of a wall from start to end; "behind the wall" is on its right.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ Size = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 
 
 class Part(Parameters):
-    """Anything in a world file: a typo in it is an error."""
+    """A table of a world file; unknown keys are errors."""
 
 
 class Wall(Part):
     """A straight wall with the free space on the left of start -> end; doors cut holes into it."""
 
-    name: str = parameter("", "", "landmark name; walls without one are no landmarks")
+    name: str = parameter("", "", "landmark name; walls without one are not landmarks")
     start: Point
     end: Point
 
@@ -76,21 +76,21 @@ class Box(Part):
 class Door(Part):
     """A door in a wall, set back from its face, that swings away from the free space."""
 
-    wall: str = parameter(..., "", "name of the wall it is in")
+    wall: str = parameter(..., "", "name of its wall")
     at: float = parameter(..., "m", "distance of its hinge from the wall's start", ge=0.0)
     width: float = parameter(0.9, "m", "width of the opening", gt=0.0)
     recess: float = parameter(0.07, "m", "depth of the jambs: leaf behind wall face", ge=0.0)
     open: tuple[Span, ...] = parameter(
-        (), "s", "times [from, until] in which it stands open; inf: for ever", special="inf -inf"
+        (), "s", "times [from, until] at which it is open; inf: for ever", special="inf -inf"
     )
     swing: float = parameter(math.pi / 2, "rad", "angle of the open leaf", gt=0.0, le=math.pi)
-    swing_time: float = parameter(1.5, "s", "time it takes to open or to close", gt=0.0)
+    swing_time: float = parameter(1.5, "s", "time to open or to close", gt=0.0)
     room: tuple[Size, Size] | None = parameter(
-        None, "m", "width and depth of the room behind it; nothing if left out"
+        None, "m", "width and depth of the room behind it; default: no room"
     )
 
     def angle(self, time: float) -> float:
-        """Return how far the leaf stands open at a time, in rad."""
+        """Return the opening angle of the leaf at a time, rad."""
         part = max((self._openness(span, time) for span in self.open), default=0.0)
         return part * self.swing
 
@@ -101,30 +101,32 @@ class Door(Part):
 
 
 class Person(Part):
-    """Someone who walks along waypoints on two legs, and stands before and after."""
+    """A person who walks along waypoints on two legs, and stands still before and after."""
 
-    waypoints: tuple[Point, ...] = parameter(..., "m", "the way", min_length=2)
-    start: float = parameter(0.0, "s", "when the walk begins", ge=0.0)
+    waypoints: tuple[Point, ...] = parameter(..., "m", "the path", min_length=2)
+    start: float = parameter(0.0, "s", "start of the walk", ge=0.0)
     speed: float = parameter(1.2, "m/s", "walking speed", gt=0.0)
-    returns: bool = parameter(False, "", "walks to and fro for ever")
+    returns: bool = parameter(False, "", "walk back and forth for ever")
     leg_radius: float = parameter(0.06, "m", "radius of a leg at the lidar's height", gt=0.0)
     leg_spacing: float = parameter(0.2, "m", "sideways distance between the legs", ge=0.0)
-    stride: float = parameter(1.3, "m", "way between two steps of the same foot", gt=0.0)
+    stride: float = parameter(1.3, "m", "distance between two steps of the same foot", gt=0.0)
 
 
 class Drive(Part):
-    """The robot's start, the way it takes, and how briskly."""
+    """The robot's start, path and dynamics."""
 
     start: Pose = parameter((0.0, 0.0, 0.0), "m, m, rad", "pose at the start")
-    waypoints: tuple[Point, ...] = parameter(..., "m", "the way after the start", min_length=1)
+    waypoints: tuple[Point, ...] = parameter(..., "m", "the path after the start", min_length=1)
     speed: float = parameter(0.25, "m/s", "cruise speed", gt=0.0)
     acceleration: float = parameter(0.5, "m/s^2", "speeding up and braking", gt=0.0)
-    turn_rate: float = parameter(0.8, "rad/s", "fastest turn", gt=0.0)
+    turn_rate: float = parameter(0.8, "rad/s", "maximum turn rate", gt=0.0)
     turn_acceleration: float = parameter(4.0, "rad/s^2", "change of the turn rate", gt=0.0)
-    lookahead: float = parameter(0.25, "m", "how far ahead it aims; cuts corners by this", gt=0.0)
+    lookahead: float = parameter(
+        0.25, "m", "distance of the aim point; cuts corners by this", gt=0.0
+    )
     radius: float = parameter(0.25, "m", "radius of the robot's outline", gt=0.0)
-    rest: float = parameter(1.0, "s", "standing still before and after", ge=0.0)
-    limit: float = parameter(math.inf, "s", "the run ends by this time, path done or not", ge=1.0)
+    rest: float = parameter(1.0, "s", "time at rest before and after the drive", ge=0.0)
+    limit: float = parameter(math.inf, "s", "maximum duration of the run", ge=1.0)
 
 
 class World(Part):
@@ -146,16 +148,16 @@ class World(Part):
         return self
 
     def _problems(self) -> Iterator[str]:
-        """Yield what cannot be, one line each."""
+        """Yield each problem as one line."""
         names = [wall.name for wall in self.walls] + [c.name for c in self.cylinders]
-        doubles = sorted({name for name in names if name and names.count(name) > 1})
-        yield from (f"the name {name!r} is given twice; rename one" for name in doubles)
+        duplicates = sorted({name for name in names if name and names.count(name) > 1})
+        yield from (f"the name {name!r} is given twice; rename one" for name in duplicates)
         for number, wall in enumerate(self.walls):
             if wall.length == 0.0:
                 yield f"walls.{number}: start and end are the same point; move one"
-        yield from _stalled("robot", (self.robot.start[:2], *self.robot.waypoints))
+        yield from _repeated_points("robot", (self.robot.start[:2], *self.robot.waypoints))
         for number, person in enumerate(self.people):
-            yield from _stalled(f"people.{number}", person.waypoints)
+            yield from _repeated_points(f"people.{number}", person.waypoints)
         yield from self._door_problems()
 
     def _door_problems(self) -> Iterator[str]:
@@ -164,10 +166,10 @@ class World(Part):
         for number, door in enumerate(self.doors):
             where, end = f"doors.{number}", door.at + door.width
             if door.wall not in known:
-                yield f"{where}: no wall is called {door.wall!r}; {near_miss(door.wall, known)}"
+                yield f"{where}: no wall named {door.wall!r}; {near_miss(door.wall, known)}"
                 continue
             if end > known[door.wall].length:
-                yield f"{where}: reaches beyond the end of wall {door.wall!r}; move it"
+                yield f"{where}: extends beyond the end of wall {door.wall!r}; move it"
             others = taken.setdefault(door.wall, [])
             if any(door.at < other[1] and other[0] < end for other in others):
                 yield f"{where}: overlaps another door in wall {door.wall!r}; move it"
@@ -176,7 +178,7 @@ class World(Part):
                 yield f"{where}.open: each entry is [from, until] with from < until; swap them"
 
     def landmarks(self) -> list[TrueLandmark]:
-        """Return the named walls and cylinders: the truth that maps are scored against."""
+        """Return the named walls and cylinders, for scoring maps."""
         return [*self._true_walls(), *self._true_cylinders()]
 
     def _true_cylinders(self) -> Iterator[TrueLandmark]:
@@ -199,25 +201,25 @@ class World(Part):
                 yield TrueLandmark(wall.name, "wall", foot, values, ends)
 
 
-def _stalled(where: str, way: Sequence[tuple[float, float]]) -> Iterator[str]:
-    for number, (a, b) in enumerate(pairwise(way)):
+def _repeated_points(where: str, path: Sequence[tuple[float, float]]) -> Iterator[str]:
+    for number, (a, b) in enumerate(pairwise(path)):
         if a == b:
-            yield f"{where}: point {number} of the way is given twice in a row; remove one"
+            yield f"{where}: point {number} of the path is given twice in a row; remove one"
 
 
 def shipped_worlds() -> list[str]:
-    """Return the names of the worlds that come with the package."""
+    """Return the names of the worlds included in the package."""
     folder = files("impslam.simulation") / "worlds"
     return sorted(f.name.removesuffix(".toml") for f in folder.iterdir() if f.name[-5:] == ".toml")
 
 
 def load_world(name_or_path: str | Path) -> World:
-    """Read a world by the name of a shipped one ("arena") or from a TOML file.
+    """Load a world by the name of a shipped one ("arena") or from a TOML file.
 
     Raises
     ------
     ConfigError
-        If there is no such world or its file cannot be used; one line that names file and key.
+        If there is no such world, or its file is not valid; the message names file and key.
     """
     name = str(name_or_path)
     if name in shipped_worlds():
@@ -226,7 +228,7 @@ def load_world(name_or_path: str | Path) -> World:
     path = Path(name_or_path)
     if not path.is_file():
         hint = near_miss(name, shipped_worlds())
-        raise ConfigError(f"{name}: no such world, shipped or file; {hint}")
+        raise ConfigError(f"{name}: no such world or file; {hint}")
     try:
         return parse_world(path.read_text("utf-8"), name)
     except (OSError, UnicodeDecodeError) as error:
@@ -234,7 +236,7 @@ def load_world(name_or_path: str | Path) -> World:
 
 
 def parse_world(text: str, where: str) -> World:
-    """Make a world from TOML text; `where` names it in errors."""
+    """Parse a world from TOML text; `where` names it in errors."""
     table = toml.parse(text, where)
     table.setdefault("name", Path(where).stem)
     try:
@@ -257,7 +259,7 @@ def _one_line(error: ValidationError, where: str) -> str:
 
 
 def _keys(path: tuple[int | str, ...]) -> list[str]:
-    """Return the keys that the table at a path of a world file may have."""
+    """Return the valid keys of the table at a path of a world file."""
     tables: dict[str, type[Part]] = {
         "robot": Drive,
         "walls": Wall,

@@ -1,1 +1,1 @@
-"""Where messages come from: log readers, the simulator, live drivers."""
+"""Sources of messages: log readers and writers."""

@@ -1,14 +1,13 @@
-"""The car of the Australian Centre for Field Robotics: its logs in MATLAB files (Guivant and Nebot).
+"""Logs of the car of the Australian Centre for Field Robotics, in MATLAB files (Guivant and Nebot).
 
-`acfr_carpark`: Time, Sensor and Index list what came when: fixes of a GPS (1), speed and steering (2),
-scans of a SICK LMS with the brightness of their echoes (3). `estbeac` in a file beside it holds the
-surveyed beacons.
+`acfr_carpark`: Time, Sensor and Index list the events in order: GPS fixes (1), speed and steering (2), and
+SICK LMS scans with intensities (3). `estbeac` in a file beside it contains the surveyed beacons.
 
-`acfr_park` (Victoria Park): u (speed, steering) at `time`, and what a tree detector made of the scans:
-zt (range, bearing from the right, diameter) at `TLsr`. The scans themselves are elsewhere. A file beside
-it has the fixes of a GPS at `timeGps`, in ms.
+`acfr_park` (Victoria Park): u (speed, steering) at `time`, and the output of a tree detector: zt (range,
+bearing from the right, diameter) at `TLsr`. The scans are not included. A file beside it contains GPS
+fixes at `timeGps`, in ms.
 
-Both are in metres, seconds and radians, the GPS in a local plane; it tells no heading.
+Both are in metres, seconds and radians; GPS positions are in a local plane, without headings.
 """
 
 from __future__ import annotations
@@ -27,8 +26,8 @@ from impslam.component import parameter, register
 from impslam.errors import MessageError, SourceError
 from impslam.sources.base import Stream
 from impslam.sources.matlab import MatlabSource, column, read_variables, same_length
-from impslam.sources.parts import Located, Piece, single, turns
-from impslam.sources.text import beam_angles, beam_times, finite
+from impslam.sources.parts import Located, Piece, merge_order, single
+from impslam.sources.text import beam_angles, beam_times, check_finite
 from impslam.types import (
     Array,
     Detections,
@@ -44,19 +43,19 @@ from impslam.types import (
 
 STEP = math.radians(0.5)  # between beams, from right to left
 FIXES = "GPS fixes"
-SCORED = "positions, for scoring; source.use_fix gives some to a sensor"
-WHICH_FIXES = "every so many-th fix of the GPS is read by a sensor, the others score it; 0: none"
+GPS_NOTE = "positions, for scoring; source.use_fix gives some to a sensor"
+USE_FIX_HELP = "a sensor reads every N-th GPS fix, the others are for scoring; 0: none"
 RIGHT = math.radians(-90.0)  # the first beam
 GPS = 1
-NAMES = {GPS: "GPS", 2: "wheels", 3: "laser"}  # of the carpark's sensors, by number
-RANGE_MAX = 81.0  # m; a SICK LMS says 81.91 for no echo, and other codes from 81.83 on
+NAMES = {GPS: "GPS", 2: "wheels", 3: "laser"}  # names of the carpark's sensors, by number
+RANGE_MAX = 81.0  # m; a SICK LMS reports 81.91 without an echo, and other codes from 81.83 on
 
 
 @register("acfr_carpark")
 class Carpark(MatlabSource):
-    """ACFR car with scans: Time, Sensor, Index and what they list."""
+    """ACFR car with scans: Time, Sensor, Index and the listed readings."""
 
-    use_fix: int = parameter(0, "1", WHICH_FIXES, ge=0)
+    use_fix: int = parameter(0, "1", USE_FIX_HELP, ge=0)
     default_preset: ClassVar[str] = "carpark"
     needs: ClassVar[frozenset[str]] = frozenset(
         {"Time", "Sensor", "Index", "TimeGPS", "GPSLon", "GPSLat"}
@@ -73,7 +72,9 @@ class Carpark(MatlabSource):
         _check(log, columns, "Time_VS", "Velocity", "Steering")
         ranges, echoes = _table(log, values, "Laser"), _table(log, values, "Intensity")
         if ranges.shape != echoes.shape or len(ranges) != len(columns["TimeLaser"]):
-            raise SourceError(f"{log}: Laser, Intensity and TimeLaser do not fit; copy it again")
+            raise SourceError(
+                f"{log}: Laser, Intensity and TimeLaser have different sizes; copy it again"
+            )
         gps = np.column_stack([columns[n] for n in ("TimeGPS", "GPSLon", "GPSLat")])
         wheels = np.column_stack([columns[n] for n in ("Time_VS", "Velocity", "Steering")])
         self._makers = {
@@ -93,7 +94,7 @@ class Carpark(MatlabSource):
             except (IndexError, MessageError) as error:
                 self._problems.add("malformed event", f"{self.path}:{number}: {error}; dropped")
             else:
-                # A GPS falls silent under trees and says so; its clock is no one's business.
+                # GPS stamps are not checked: gaps are expected under trees.
                 stream = FIXES if isinstance(message, Fix) else NAMES[sensor]
                 yield Located(message, number, stream, checked=sensor != GPS)
 
@@ -118,7 +119,7 @@ class Carpark(MatlabSource):
         ]
 
     def streams(self) -> list[Stream]:
-        """Return GPS, wheels and laser, and the survey where it is there."""
+        """Return GPS, wheels and laser, and the survey if there is one."""
         counts = {s: sum(sensor == s for sensor, _ in self._events) for s in self._makers}
         found = [
             Stream(
@@ -126,7 +127,7 @@ class Carpark(MatlabSource):
                 "TruePose",
                 counts[1],
                 used=False,
-                note=SCORED,
+                note=GPS_NOTE,
             ),
             Stream("wheels", "Steering", counts[2], True, "speed and steering", default=True),
             Stream(
@@ -135,7 +136,7 @@ class Carpark(MatlabSource):
         ]
         beacons = self.true_landmarks()
         if beacons:
-            note = "surveyed, for scoring only"
+            note = "surveyed, only for scoring"
             found.append(Stream("estbeac", "beacons", len(beacons), used=False, note=note))
         return found
 
@@ -144,7 +145,7 @@ class Carpark(MatlabSource):
 class Park(MatlabSource):
     """ACFR car among trees (Victoria Park): u, zt and their times."""
 
-    use_fix: int = parameter(0, "1", WHICH_FIXES, ge=0)
+    use_fix: int = parameter(0, "1", USE_FIX_HELP, ge=0)
 
     default_preset: ClassVar[str] = "victoria-park"
     needs: ClassVar[frozenset[str]] = frozenset({"time", "u", "TLsr", "zt"})
@@ -157,7 +158,7 @@ class Park(MatlabSource):
         values = read_variables(log, self.needs)
         times, u = column(log, values, "time"), _table(log, values, "u")
         if u.shape != (2, len(times)):
-            raise SourceError(f"{log}: u is not two rows as long as time; copy it again")
+            raise SourceError(f"{log}: u is not two rows of the length of time; copy it again")
         cells, seen = values["zt"].ravel(), column(log, values, "TLsr")
         same_length(log, TLsr=seen, zt=cells)
         self._wheels = np.column_stack((times, u.T))
@@ -172,13 +173,14 @@ class Park(MatlabSource):
         return len(self._wheels) + len(self._trees) + len(self._fixes)
 
     def _parts(self, rows: int) -> Iterator[list[Piece]]:
-        """Yield all rows, which are in memory; the motion up to a scan goes first."""
+        """Yield all rows, which are in memory; the motion until a scan precedes it."""
         del rows
         self._done = self._count
-        wheels, fixes = self._sound("wheels", self._wheels), self._sound("GPS", self._fixes)
+        wheels = self._finite_rows("wheels", self._wheels)
+        fixes = self._finite_rows("GPS", self._fixes)
         trees = list(self._tree_messages())
         seen = np.array([tree.message.stamp for tree in trees])
-        orders = turns(self._wheels[wheels, 0], self._fixes[fixes, 0], seen)
+        orders = merge_order(self._wheels[wheels, 0], self._fixes[fixes, 0], seen)
         stamp, speed, angle = self._wheels[wheels].T.copy()
         motion = {"stamp": stamp, "speed": speed, "angle": angle}
         places = self._fixes[fixes]
@@ -186,19 +188,21 @@ class Park(MatlabSource):
         fix = {"stamp": places[:, 0].copy(), "pose": poses}
         used = _used(np.arange(len(fixes)), self.use_fix)
         unknown = np.full((len(fixes), 2, 2), math.nan)
-        told = {"stamp": fix["stamp"], "position": poses[:, :2].copy(), "covariance": unknown}
+        used_fix = {"stamp": fix["stamp"], "position": poses[:, :2].copy(), "covariance": unknown}
         part = [
             Piece.of(Columns("wheels", Steering, orders[0], motion, {}), wheels + 1),
             Piece.of(
                 Columns("GPS", TruePose, orders[1], fix, {}).take(~used), fixes[~used] + 1, False
             ),
-            Piece.of(Columns(FIXES, Fix, orders[1], told, {}).take(used), fixes[used] + 1, False),
+            Piece.of(
+                Columns(FIXES, Fix, orders[1], used_fix, {}).take(used), fixes[used] + 1, False
+            ),
             *(single(*tree) for tree in zip(trees, orders[2].tolist(), strict=True)),
         ]
         yield [piece for piece in part if len(piece.columns)]
 
-    def _sound(self, stream: str, rows: Array) -> Ints:
-        """Return which rows are finite, and explain the others."""
+    def _finite_rows(self, stream: str, rows: Array) -> Ints:
+        """Return the indices of the finite rows, and report the others."""
         good = np.isfinite(rows.sum(axis=1))
         what = "stamp, speed or steering" if stream == "wheels" else "stamp or position"
         for k in np.flatnonzero(~good):
@@ -220,14 +224,14 @@ class Park(MatlabSource):
         self._trees = []
 
     def streams(self) -> list[Stream]:
-        """Return wheels, trees, and the GPS where it is there."""
+        """Return wheels, trees, and the GPS if there is one."""
         n, fixes = len(self._wheels), len(self._fixes)
         found = [
             Stream("wheels", "Steering", n, True, "u: speed and steering", default=True),
             Stream("trees", "Detections", len(self._trees), True, "zt", default=True),
         ]
         if fixes:
-            note = f"Lo_m, La_m: {SCORED}"
+            note = f"Lo_m, La_m: {GPS_NOTE}"
             found.append(Stream("GPS", "TruePose", fixes, used=False, note=note))
         return found
 
@@ -239,30 +243,30 @@ def _check(path: Path, columns: dict[str, Array], *names: str) -> None:
 def _table(path: Path, values: Any, name: str) -> Array:
     array: npt.NDArray[Any] = values[name]
     if array.dtype.kind not in "fiu" or array.ndim != 2:
-        raise SourceError(f"{path}: {name} is no table of numbers; copy it again")
+        raise SourceError(f"{path}: {name} is not a table of numbers; copy it again")
     return array.astype(np.float64)
 
 
 def _used(numbers: Ints, every: int) -> Mask:
-    """Return which fixes, by their numbers, a sensor reads: every so many-th."""
+    """Return which fixes, given their numbers, a sensor reads: every `every`-th."""
     return np.asarray((numbers % every == 0) if every else np.zeros(numbers.shape, np.bool_))
 
 
 def _fix(row: Array, used: bool) -> TruePose | Fix:
     stamp, x, y = row.tolist()
-    finite("stamp or position", stamp, x, y)
+    check_finite("stamp or position", stamp, x, y)
     if used:
         return Fix(float(stamp), np.array([x, y]), np.full((2, 2), math.nan))
     return TruePose(float(stamp), np.array([x, y, math.nan]))
 
 
 def _steering(stamp: float, speed: float, angle: float) -> Steering:
-    finite("stamp, speed or steering", stamp, speed, angle)
+    check_finite("stamp, speed or steering", stamp, speed, angle)
     return Steering(float(stamp), float(speed), float(angle))
 
 
 def _scan(stamp: float, ranges: Array, echoes: Array) -> LaserScan:
-    finite("stamp", stamp)
+    check_finite("stamp", stamp)
     n = len(ranges)
     angles = beam_angles(n, RIGHT, STEP)
     return LaserScan(
@@ -271,7 +275,7 @@ def _scan(stamp: float, ranges: Array, echoes: Array) -> LaserScan:
 
 
 def _trees(stamp: float, cell: Any) -> Detections:
-    finite("stamp", stamp)
+    check_finite("stamp", stamp)
     rows = np.asarray(cell)
     if rows.dtype.kind not in "fiu" or (rows.size and (rows.ndim != 2 or len(rows) != 3)):
         raise MessageError(f"detections of shape {rows.shape} instead of three rows")

@@ -1,4 +1,4 @@
-"""The role of a source: the streams of a log as columns, in the order in which they were recorded."""
+"""The role of a source: it reads the streams of a log as columns, in recording order."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from pydantic import PrivateAttr
 from impslam.columns import ROWS, Batch
 from impslam.component import Component, find, names, near_miss, parameter
 from impslam.errors import SourceError
-from impslam.sources.parts import Located, Piece, cut, gather
+from impslam.sources.parts import Located, Piece, gather, to_batches
 from impslam.sources.stamps import StampCheck
 from impslam.types import Message, TrueLandmark
 
 
 @dataclass(frozen=True, slots=True)
 class Stream:
-    """One stream of a log, as shown by `imp inspect`.
+    """A stream of a log, as shown by `imp inspect`.
 
     Attributes
     ----------
     name : the name of its columns, if it is read
-    type : what it is made of, in the log's own words
-    count : rows; None if it is known only after reading
+    type : the type of its messages, as named in the log
+    count : number of rows; None if it is known only after reading
     used : whether it is read, because mapping can use it
-    note : what it is, and how to use it if it is not
-    default : whether it is the one to use of its kind where none is named
+    note : what it contains, and how to use it if it is not used
+    default : whether it is the default of its kind
     """
 
     name: str
@@ -42,14 +42,14 @@ class Stream:
 
 @dataclass(frozen=True, slots=True)
 class Mount:
-    """The mount of a laser, or of an antenna, according to a log.
+    """The mount of a laser or an antenna, according to a log.
 
     Attributes
     ----------
-    pose : (x, y, yaw) `T_base_laser` in the plane, m, m, rad; None if the log does not contain it
+    pose : (x, y, yaw) `T_base_laser` in the plane, m, m, rad; None if unknown
     upside_down : whether its z axis points down
-    tilt : rad, between its plane and that of base
-    origin : the part of the log that contains it, or why there is none
+    tilt : angle between its plane and that of base, rad
+    origin : the part of the log that contains it, or why it is unknown
     base : name of the base frame in the log
     """
 
@@ -74,32 +74,31 @@ class Problems:
 
 
 class Source(Component):
-    """A context manager that reads the streams of a log as columns, lazily: its memory is bounded.
+    """A context manager that reads the streams of a log as columns, lazily and in bounded memory.
 
-    Rows come in file order; where a log's stamps run backwards they are not sorted. A row that
-    cannot be used is dropped and entered in `problems`. Of each kind of stream one is read; others
-    of the kind, such as a second lidar, are read if they are named in `wanted`.
+    Rows come in file order, even if stamps go backwards. A row that cannot be used is dropped and added to
+    `problems`. One stream of each kind is read; others, such as a second lidar, only if named in `wanted`.
 
-    A reader yields its rows either as messages (`_messages`) or, if that is faster, as columns
+    A subclass yields its rows either as messages (`_messages`) or, if that is faster, as columns
     (`_parts`).
     """
 
     role: ClassVar[str] = "source"
     describes_robot: ClassVar[bool] = False
-    """Whether `kinds` and `mounts` return something; the log must be opened for them."""
+    """Whether `kinds` and `mounts` return data; the log must be opened for them."""
     default_preset: ClassVar[str] = "default"
-    """The preset that fits logs of this format; a log that names its own overrides `preset`."""
+    """The preset that fits logs of this format; `preset` differs if a log names its own."""
 
     path: Path
     wanted: tuple[str, ...] = parameter(
-        (), "1", "names of further streams to read, e.g. of a second lidar; imp inspect shows them"
+        (), "1", "names of further streams to read, e.g. of a second lidar; see imp inspect"
     )
     _problems: Problems = PrivateAttr(default_factory=Problems)
 
     @classmethod
     @abstractmethod
     def recognises(cls, path: Path) -> bool:
-        """Return whether the content (not the name) is a log of this format."""
+        """Return whether the path is a log of this format, judging by its content, not its name."""
 
     @abstractmethod
     def __enter__(self) -> Self:
@@ -110,25 +109,24 @@ class Source(Component):
         """Close the log."""
 
     def batches(self, rows: int = ROWS) -> Iterator[Batch]:
-        """Yield the log as columns by the name of their stream, at most `rows` rows at a time.
+        """Yield the log as columns by stream name, at most `rows` rows at a time.
 
-        Any number of rows gives the same rows in the same order. Rows from one record share its
-        stamp.
+        The rows and their order do not depend on `rows`. Rows from one record share its stamp.
 
         Raises
         ------
         SourceError
-            If the log has no stream of a name that is wanted, or it cannot be read.
+            If the log cannot be read, or lacks a stream named in `wanted`.
         """
         self._check_wanted()
         stamps = StampCheck(self.path)
         for part in self._parts(rows):
             for kind, example, count in stamps.check(part):
                 self._problems.add(kind, example, count)
-            yield from cut([piece.columns for piece in part], rows)
+            yield from to_batches([piece.columns for piece in part], rows)
 
     def _parts(self, rows: int) -> Iterator[list[Piece]]:
-        """Yield the rows of the log, part by part, in file order; `rows` is what a part may have."""
+        """Yield the rows of the log in parts of about `rows` rows, in file order."""
         return gather(self._messages(), rows)
 
     def _messages(self) -> Iterator[Located]:
@@ -141,54 +139,54 @@ class Source(Component):
         streams = {stream.name: stream for stream in self.streams()}
         for name in self.wanted:
             if name not in streams:
-                said = near_miss(name, list(streams))
-                raise SourceError(f"{self.path}: no stream {name!r} in source.wanted; {said}")
+                hint = near_miss(name, list(streams))
+                raise SourceError(f"{self.path}: no stream {name!r} in source.wanted; {hint}")
             if not streams[name].used:
                 raise SourceError(
-                    f"{self.path}: stream {name!r} of type {streams[name].type} is of no use for "
-                    "mapping; take it out of source.wanted"
+                    f"{self.path}: mapping cannot use stream {name!r} of type "
+                    f"{streams[name].type}; remove it from source.wanted"
                 )
 
     def defaults(self) -> Mapping[type[Message], str]:
-        """Return the stream to use where none is named, for kinds of which there may be several.
+        """Return the default stream of each kind that may have several streams.
 
-        Ask while the source is open.
+        The source must be open.
         """
         return {}
 
     def kinds(self) -> frozenset[type[Message]] | None:
         """Return the types of messages in the log; None if they are known only after reading.
 
-        Ask while the source is open, or has been.
+        The source must be open, or have been open.
         """
         return None
 
     def mounts(self) -> Mapping[str, Mount]:
         """Return the mounts of the lasers according to the log, by the stream of their scans.
 
-        Ask while the source is open, or has been.
+        The source must be open, or have been open.
         """
         return {}
 
     def antennas(self) -> Mapping[str, Mount]:
-        """Return where the antennas of GNSS receivers are, by the stream of their fixes.
+        """Return the mounts of the antennas of GNSS receivers, by the stream of their fixes.
 
-        Ask while the source is open, or has been.
+        The source must be open, or have been open.
         """
         return {}
 
-    def hold_mounts(self, streams: Collection[str]) -> None:
-        """Drop scans of these streams that are taken while their mount is not that of `mounts`."""
+    def watch_mounts(self, streams: Collection[str]) -> None:
+        """Drop scans of these streams while their laser's mount differs from that in `mounts`."""
 
     def surroundings(self) -> Mapping[str, tuple[float, float]]:
-        """Return the least and the greatest "temperature" (degrees Celsius) and "humidity" (0 to 1).
+        """Return the minimum and maximum of "temperature" (degrees Celsius) and "humidity" (0 to 1).
 
-        They are for people; mapping does not use them.
+        They are only displayed; mapping does not use them.
         """
         return {}
 
     def true_landmarks(self) -> list[TrueLandmark]:
-        """Return the surveyed landmarks that come with the log, in its own frame; for scoring."""
+        """Return the surveyed landmarks that come with the log, in their own frame, for scoring."""
         return []
 
     @abstractmethod
@@ -197,30 +195,30 @@ class Source(Component):
 
     @property
     def preset(self) -> str:
-        """The preset (or the config, as TOML) that fits this log; ask while it is open."""
+        """The preset (or the config, as TOML) that fits this log; the source must be open."""
         return self.default_preset
 
     @property
     def problems(self) -> Problems:
-        """Data dropped so far, and the reasons."""
+        """Problems found so far."""
         return self._problems
 
     @property
     def total(self) -> int | None:
-        """Number of steps for a progress bar (messages or bytes), or None if unknown before reading.
+        """Total for a progress bar (messages or bytes), or None if unknown before reading.
 
-        Ask while the source is open.
+        The source must be open.
         """
         return None
 
     @property
     def position(self) -> int:
-        """Position of the iteration, from 0 to `total`."""
+        """Progress of the iteration, from 0 to `total`."""
         return 0
 
 
 def recognise(path: Path) -> type[Source]:
-    """Return the source class for the format of a log, recognised from its content.
+    """Return the source class for the format of a log, detected from its content.
 
     Raises
     ------
@@ -231,16 +229,16 @@ def recognise(path: Path) -> type[Source]:
         raise SourceError(f"{path}: no such file or folder; check the path")
     if not (path.is_file() or path.is_dir()):
         raise SourceError(
-            f"{path}: is neither a file nor a folder; copy what the pipe or device gives into a file"
+            f"{path}: is neither a file nor a folder; copy the data of the pipe or device to a file"
         )
     if path.is_file() and path.stat().st_size == 0:
         raise SourceError(f"{path}: the file is empty; record or copy it again")
     known = names("source")
-    for name in known:  # one by one: what reads bags need not be imported for a text log
+    for name in known:  # one by one, so that a text log does not import the bag readers
         cls = find("source", name)
         if issubclass(cls, Source) and cls.recognises(path):
             return cls
-    zeros = "; it begins with zeros: cut while it was written, or lost by the disk"
+    zeros = "; it begins with zeros: writing was interrupted, or the disk lost the data"
     raise SourceError(
         f"{path}: no known log format; readable are {', '.join(known)} (see `imp list`)"
         + (zeros if path.is_file() and _begins_with_zeros(path) else "")

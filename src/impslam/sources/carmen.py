@@ -1,8 +1,8 @@
 """CARMEN text logs: odometry and laser lines of the Carnegie Mellon robot toolkit, also gzipped.
 
-Every line ends `ipc_timestamp ipc_hostname logger_timestamp`; the first of them is the stamp.
-Laser lines carry the odometry pose at which they were taken. Stamps of such logs run backwards
-now and then; the order of lines is that of the events.
+Every line ends with `ipc_timestamp ipc_hostname logger_timestamp`; the first of them is the stamp.
+Laser lines contain the odometry pose at which they were taken. Stamps sometimes go backwards; the order
+of lines is that of the events.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from impslam.sources.tables import Lines
 from impslam.sources.text import TextSource, head
 from impslam.types import Array, Ints, LaserScan, Message, OdometryPose
 
-LASERS = ("FLASER", "ROBOTLASER1", "RLASER")  # in the order of preference
+LASERS = ("FLASER", "ROBOTLASER1", "RLASER")  # in order of preference
 _COMMON_COUNTS = (180, 181, 360, 361)  # SICK LMS: 1 deg or 0.5 deg over 180 deg
 _NAME = re.compile(rb"#|[A-Z][A-Z0-9_]*\s")
 _OPENING = (b"# CARMEN", b"ODOM ", b"PARAM ", b"SYNC ", *(f"{name} ".encode() for name in LASERS))
@@ -38,47 +38,47 @@ class Carmen(TextSource):
     """CARMEN log: ODOM, FLASER, RLASER and ROBOTLASER1 lines, also .gz."""
 
     laser: Literal["auto", "FLASER", "ROBOTLASER1", "RLASER"] = parameter(
-        "auto", "1", "laser lines to use; auto takes the front laser, whichever the log has"
+        "auto", "1", "laser lines to use; auto: the first of FLASER, ROBOTLASER1, RLASER in the log"
     )
     field_of_view: float = parameter(
         math.pi,
         "rad",
-        "angle that FLASER and RLASER beams span, which these lines do not say",
+        "angle that FLASER and RLASER beams span, which these lines do not contain",
         gt=0,
         le=2.0 * math.pi,
     )
 
     @classmethod
     def recognises(cls, path: Path) -> bool:
-        """Tell by the names of messages at the start of lines."""
+        """Recognise the format by the message names at the start of lines."""
         return any(line.startswith(_OPENING) and _plausible(line) for line in head(path))
 
     def _parts(self, rows: int) -> Iterator[list[Piece]]:
-        """Yield the rows of a block of lines: alike ones as tables, the others one by one."""
+        """Yield the rows of a block of lines: lines of equal shape as tables, others one by one."""
         del rows  # a block is small
-        read, choice = self._converters(), self._choice()
+        converters, choice = self._converters(), self._chosen_laser()
         for first, block in self._blocks(self.path):
             lines = Lines(block)
             part: list[Piece] = []
-            left = np.ones(len(lines), np.bool_)
-            for name, convert in read.items():
+            remaining = np.ones(len(lines), np.bool_)
+            for name, convert in converters.items():
                 for shape in shapes(lines, name, convert):
                     good, values = read_table(lines, shape)
-                    left[good] = False
+                    remaining[good] = False
                     part += self._pieces(shape, values, first + good, choice)
-            for k in np.flatnonzero(left).tolist():
-                part += self._line(lines.line(k), first + k, read, choice)
-            self._enter_guesses(part)
+            for k in np.flatnonzero(remaining).tolist():
+                part += self._read_line(lines.line(k), first + k, converters, choice)
+            self._report_guesses(part)
             yield part
 
     def _pieces(self, shape: Shape, values: Array, places: Ints, choice: str) -> list[Piece]:
-        """Return the rows of lines that are alike, from the numbers in them."""
+        """Return the rows of lines of equal shape, given their numbers."""
         stamps, beams = values[:, -1], shape.beams
         poses = {"stamp": stamps, "pose": np.ascontiguousarray(values[:, shape.pose :][:, :3])}
         is_odometry = shape.name == "ODOM"
         order = 2 * places + is_odometry
         pieces = []
-        if is_odometry or shape.name == choice:  # any other laser's would say the same again
+        if is_odometry or shape.name == choice:  # other lasers repeat the same poses
             columns = Columns("ODOM", OdometryPose, order, poses, {})
             pieces.append(Piece.of(columns, places, checked=is_odometry))
         if not is_odometry:
@@ -87,17 +87,19 @@ class Carmen(TextSource):
             pieces.append(Piece.of(columns, places))
         return pieces
 
-    def _line(
-        self, line: bytes, number: int, read: Mapping[str, Convert], choice: str
+    def _read_line(
+        self, line: bytes, number: int, converters: Mapping[str, Convert], choice: str
     ) -> Iterator[Piece]:
-        """Yield the rows of any line, or say what is wrong with it."""
+        """Yield the rows of any line, or report a problem."""
         name = b"".join(line.split(None, 1)[:1]).decode("ascii", "replace")
-        if name not in read:
+        if name not in converters:
             if name and _NAME.match(line + b"\n") is None:
-                self._reject("line", self.path, number, "no CARMEN message is called so")
+                self._reject(
+                    "line", self.path, number, "it does not start with a CARMEN message name"
+                )
             return
         try:
-            *pose, last = read[name](line.split())
+            *pose, last = converters[name](line.split())
         except (ValueError, IndexError, MessageError) as error:
             self._reject(name, self.path, number, error)
             return
@@ -105,8 +107,8 @@ class Carmen(TextSource):
             yield single(Located(pose[0], number, "ODOM", checked=False), 2 * number)
         yield single(Located(last, number, name), 2 * number + 1)
 
-    def _enter_guesses(self, part: Iterable[Piece]) -> None:
-        """Enter scans whose beams span an angle that their lines do not say."""
+    def _report_guesses(self, part: Iterable[Piece]) -> None:
+        """Report scans with an unusual number of beams, whose angles are a guess."""
         guesses = [
             (columns.order[0], columns["ranges"].shape[1], len(columns))
             for columns, _, _ in part
@@ -116,24 +118,24 @@ class Carmen(TextSource):
             if beams not in _COMMON_COUNTS:
                 self._problems.add(
                     "guessed beam angles",
-                    f"{self.path}: {beams} beams taken to span "
+                    f"{self.path}: {beams} beams are assumed to span "
                     f"{math.degrees(self.field_of_view):g} deg; set field_of_view if that is wrong",
                     count,
                 )
 
     def _converters(self) -> dict[str, Convert]:
-        """Return what reads the words of a line, by its name."""
+        """Return the functions that read the words of a line, by its name."""
         plain = partial(line_laser, field_of_view=self.field_of_view)
         lasers: dict[str, Convert] = {"FLASER": plain, "RLASER": plain, "ROBOTLASER1": robot_laser}
         return {"ODOM": odometry} | {laser: lasers[laser] for laser in self._lasers()}
 
     def _lasers(self) -> list[str]:
-        """Return the names of the laser lines that are read."""
-        choice = self._choice()
+        """Return the names of the laser lines to read."""
+        choice = self._chosen_laser()
         return [choice, *(name for name in LASERS if name in self.wanted and name != choice)]
 
-    def _choice(self) -> str:
-        """Return the name of the laser lines to use where none is named."""
+    def _chosen_laser(self) -> str:
+        """Return the name of the laser lines to use by default."""
         if self.laser != "auto":
             return self.laser
         found: set[bytes] = {line.split(None, 1)[0] for line in head(self.path) if line.strip()}
@@ -141,7 +143,7 @@ class Carmen(TextSource):
 
     def streams(self) -> list[Stream]:
         """Return the kinds of line, by name."""
-        counts, choice = self._first_words(self.path), self._choice()
+        counts, choice = self._first_words(self.path), self._chosen_laser()
         used, default = {"ODOM", *self._lasers()}, {"ODOM", choice}
         if counts[choice]:
             counts["ODOM"] += counts[choice]
@@ -159,21 +161,21 @@ class Carmen(TextSource):
         ]
 
     def defaults(self) -> Mapping[type[Message], str]:
-        """Return the lines to use of odometry and of lasers."""
-        return {OdometryPose: "ODOM", LaserScan: self._choice()}
+        """Return the default lines of odometry and scans."""
+        return {OdometryPose: "ODOM", LaserScan: self._chosen_laser()}
 
 
 def _note(name: str, choice: str, is_read: bool) -> str:
-    """Return what `imp inspect` says of a kind of line, where one laser is chosen."""
+    """Return the note of `imp inspect` on a kind of line, given the chosen laser."""
     if name == "ODOM":
-        return f"poses, those of {choice} lines among them"
+        return f"poses, including those in {choice} lines"
     if name not in LASERS or is_read:
         return ""
-    return f"not read: {choice} is; set source.laser={name} to use it instead, or name it in source.wanted"
+    return f"not read ({choice} is); use it with source.laser={name}, or name it in source.wanted"
 
 
 def _plausible(line: bytes) -> bool:
-    """Tell a CARMEN line from one of another format that opens with the same word."""
+    """Distinguish a CARMEN line from one of another format that starts with the same word."""
     return line.startswith(b"#") or len(line.split()) >= 3
 
 

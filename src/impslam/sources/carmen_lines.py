@@ -1,32 +1,32 @@
-"""The lines of CARMEN logs: what their words are."""
+"""Reads the words of CARMEN lines."""
 
 from __future__ import annotations
 
 from impslam.errors import MessageError
-from impslam.sources.text import beam_angles, beam_times, finite, numbers
+from impslam.sources.text import beam_angles, beam_times, check_finite, numbers
 from impslam.types import LaserScan, Message, OdometryPose
 
 
 def line_layout(n: int, field_of_view: float) -> tuple[float, float]:
-    """Return start angle and step (rad) of n beams that say nothing about themselves.
+    """Return start angle and step (rad) of n beams whose line does not contain their angles.
 
-    An odd number spans the field of view from edge to edge (181 beams: -90 to +90 deg), an even
-    one leaves out the last (180: -90 to +89 deg), which is how the SICK LMS is read out.
+    An odd number spans the whole field of view (181 beams: -90 to +90 deg), an even one omits the last
+    beam (180: -90 to +89 deg), as the SICK LMS does.
     """
     return -field_of_view / 2.0, field_of_view / max(n - n % 2, 1)
 
 
 def _pose(stamp: float, tokens: list[bytes]) -> OdometryPose:
     x, y, theta = map(float, tokens)
-    finite("stamp or pose", stamp, x, y, theta)
+    check_finite("stamp or pose", stamp, x, y, theta)
     return OdometryPose(stamp, numbers(tokens))
 
 
 def _count(tokens: list[bytes], at: int, others: int) -> int:
-    """Return the array length said at an index, checked against the length of the line."""
+    """Return the array length given at an index, checked against the length of the line."""
     n = int(tokens[at])
     if n <= 0 or len(tokens) != n + others:
-        raise MessageError(f"{len(tokens)} words, which does not fit {n} values")
+        raise MessageError(f"{len(tokens)} words, which does not match {n} values")
     return n
 
 
@@ -42,18 +42,18 @@ def line_laser(tokens: list[bytes], field_of_view: float) -> tuple[Message, ...]
 def robot_laser(tokens: list[bytes]) -> tuple[Message, ...]:
     """Read `ROBOTLASER1 type start fov step max accuracy mode n ranges m remissions ...`.
 
-    What follows is laser_pose(3) robot_pose(3) tv rv and three safety figures, then the tail.
+    It continues with laser_pose(3) robot_pose(3) tv rv, three safety values and the tail.
     """
     n = int(tokens[8])
     if n <= 0:
         raise MessageError(f"{n} beams")
     after = _count(tokens, 9 + n, n + 24) + n + 10 if tokens[9 + n] != b"0" else n + 10
     if len(tokens) != after + 14:
-        raise MessageError(f"{len(tokens)} words, which does not fit {n} beams")
+        raise MessageError(f"{len(tokens)} words, which does not match {n} beams")
     stamp = float(tokens[after + 11])
     pose = _pose(stamp, tokens[after + 3 : after + 6])
     start, span, step, range_max = map(float, tokens[2:6])
-    finite("start angle or resolution", start, span, step)
+    check_finite("start angle or resolution", start, span, step)
     step = step or span / max(n - 1, 1)
     angles = beam_angles(n, start, step)
     ranges = numbers(tokens[9 : n + 9])

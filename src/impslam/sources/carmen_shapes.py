@@ -1,4 +1,4 @@
-"""Many lines of CARMEN logs at once: those that go on alike are read as a table."""
+"""Reads many lines of CARMEN logs at once: those of equal shape as a table."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from impslam.sources.tables import Lines
 from impslam.types import Array, Ints, LaserScan, Message
 
 _LAYOUT_WORDS = {"ODOM": 1, "FLASER": 2, "RLASER": 2, "ROBOTLASER1": 9}
-"""How many words of a line say how it goes on."""
-_SHAPES = 8  # of a name in one block; some lidars start at one of four angles in turn
-_TAIL = 2  # words behind the stamp
+"""Number of words at the start of a line that determine its shape."""
+_SHAPES = 8  # maximum number per name and block; some lidars cycle through four start angles
+_TAIL = 2  # words after the stamp
 
 Convert: TypeAlias = Callable[[list[bytes]], tuple[Message, ...]]
 
 
 class Shape(NamedTuple):
-    """How lines of one name with the same first words are read at once.
+    """The layout of lines of one name with the same first words.
 
     Attributes
     ----------
-    prefix : the name and the other words that say how such a line goes on, with the blanks between
-    width : how many numbers follow, the last of them the stamp
-    pose : the first of the pose among them
-    beams : how many there are, whose ranges come first
-    remissions : what the number behind the ranges of ROBOTLASER1 is
-    layout : what scans share
+    prefix : the words that determine the shape, with the blanks between them
+    width : number of numbers that follow; the last is the stamp
+    pose : index of the first number of the pose
+    beams : number of beams; their ranges come first
+    remissions : number of remissions, which follows the ranges of ROBOTLASER1
+    layout : what the scans share
     """
 
     name: str
@@ -44,7 +44,7 @@ class Shape(NamedTuple):
 
 
 def shapes(lines: Lines, name: str, convert: Convert) -> Iterator[Shape]:
-    """Learn from the first sound line of each shape how to read those like it."""
+    """Yield the shape of the first valid line of each shape."""
     waiting = lines.starting(f"{name} ".encode())
     for _ in range(_SHAPES):
         if not waiting.any():
@@ -75,7 +75,7 @@ def _shape(line: bytes, name: str, convert: Convert) -> Shape | None:
 
 
 def read_table(lines: Lines, shape: Shape) -> tuple[Ints, Array]:
-    """Return which lines are sound and have a shape, and the numbers in them (k, width)."""
+    """Return which lines are valid and have a shape, and their numbers (k, width)."""
     which = np.flatnonzero(lines.starting(shape.prefix))
     values, good = lines.table(which, len(shape.prefix), shape.width, _TAIL)
     with np.errstate(invalid="ignore", over="ignore"):

@@ -1,4 +1,4 @@
-"""Which column of a CSV file is what: from its header, or as the user says."""
+"""The roles of the columns of a CSV file, from its header or given by the user."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ NAMES: dict[Role, tuple[str, ...]] = {
     "range_min": ("range_min",),
     "range_max": ("range_max",),
 }
-"""Names in a header that need not be said, without unit and what is before a dot."""
+"""Names that are recognised in a header, without unit and without a prefix before a dot."""
 UNITS = {
     "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "m": 1.0, "cm": 1e-2, "mm": 1e-3,
     "rad": 1.0, "deg": math.pi / 180.0,
@@ -42,11 +42,11 @@ MOTIONS: tuple[tuple[Role, ...], ...] = (
     ("left", "right"),
     ("speed", "turn_rate"),
 )
-FEWEST = 3  # columns of one name and a number that are taken for beams
+MIN_BEAMS = 3  # minimum number of consecutively numbered columns to recognise them as beams
 
 
 class Cells(NamedTuple):
-    """Columns first to last - 1, and what their numbers are multiplied by to be in m, s or rad."""
+    """Columns first to last - 1, and the factor that converts their numbers to m, s or rad."""
 
     first: int
     last: int
@@ -54,13 +54,13 @@ class Cells(NamedTuple):
 
 
 class Layout(NamedTuple):
-    """What the columns of a file are.
+    """The roles of the columns of a file.
 
     Attributes
     ----------
-    cells : by role
+    cells : the columns by role
     motion : the roles that are odometry; empty if there is none
-    angles : (n,) rad, of the beams; None where each row tells
+    angles : (n,) rad, of the beams; None if each row contains them
     """
 
     cells: Mapping[Role, Cells]
@@ -68,23 +68,23 @@ class Layout(NamedTuple):
     angles: Array | None
 
 
-def layout(header: Sequence[str], said: Mapping[Role, str], start: float, step: float) -> Layout:
-    """Return what the columns are, by their names and what is said of them.
+def layout(header: Sequence[str], given: Mapping[Role, str], start: float, step: float) -> Layout:
+    """Return the roles of the columns, given by the user or found by their names.
 
     Parameters
     ----------
     header : the names of the columns
-    said : by role "NAME", "FIRST:LAST" for ranges, either with "*FACTOR"
-    start, step : rad, direction of the first beam and from beam to beam; NaN: as the header says
+    given : by role "NAME", or "FIRST:LAST" for ranges, either with "*FACTOR"
+    start, step : rad, direction of the first beam and from beam to beam; NaN: from the header
 
     Raises
     ------
     MessageError
-        If stamp or ranges cannot be found, or directions of beams; the text says what to do.
+        If the stamp, the ranges or the directions of the beams are not found; the text says what to do.
     """
-    cells = {role: _said(header, role, text) for role, text in said.items()}
+    cells = {role: _given_cells(header, role, text) for role, text in given.items()}
     for role, names in NAMES.items():
-        if role not in cells and (found := _named(header, names)):
+        if role not in cells and (found := _find_by_name(header, names)):
             cells[role] = found
     if "ranges" not in cells and (beams := _beams(header)):
         cells["ranges"] = beams
@@ -92,12 +92,14 @@ def layout(header: Sequence[str], said: Mapping[Role, str], start: float, step: 
         if role not in cells:
             example = "stamp=NAME" if role == "stamp" else "ranges=FIRST:LAST"
             shown = ", ".join(header[:8]) + (", ..." if len(header) > 8 else "")
-            raise MessageError(f"no column is known as {role} ({shown}): say --columns {example}")
+            raise MessageError(
+                f"no column for {role} found ({shown}): name it with --columns {example}"
+            )
     motion = next((roles for roles in MOTIONS if all(role in cells for role in roles)), ())
     return Layout(cells, motion, _angles(header, cells, start, step))
 
 
-def _said(header: Sequence[str], role: Role, text: str) -> Cells:
+def _given_cells(header: Sequence[str], role: Role, text: str) -> Cells:
     names, times, factor = text.partition("*")
     first, to, last = names.strip().partition(":")
     if bool(to) != (role == "ranges"):
@@ -116,12 +118,12 @@ def _said(header: Sequence[str], role: Role, text: str) -> Cells:
 def _find(header: Sequence[str], name: str) -> int:
     name = name.strip()
     if name not in header:
-        raise MessageError(f"no column {name!r} in it; {near_miss(name, list(header))}")
+        raise MessageError(f"no column {name!r}; {near_miss(name, list(header))}")
     return list(header).index(name)
 
 
-def _named(header: Sequence[str], names: Sequence[str]) -> Cells | None:
-    """Return the column that has one of some names, the first of them that is there."""
+def _find_by_name(header: Sequence[str], names: Sequence[str]) -> Cells | None:
+    """Return the column with the first of some names that is in the header."""
     short = [name.lower().lstrip("%# ").rpartition(".")[2] for name in header]
     for name in names:
         for k, column in enumerate(short):
@@ -134,7 +136,7 @@ def _named(header: Sequence[str], names: Sequence[str]) -> Cells | None:
 
 
 def _beams(header: Sequence[str]) -> Cells | None:
-    """Return the longest run of columns that are numbers, or one name with a number after it."""
+    """Return the longest run of columns whose names are numbers, or one name with a number after it."""
     stems = [_stem(name) for name in header]
     best, k = (0, 0), 0
     while k < len(stems):
@@ -143,7 +145,7 @@ def _beams(header: Sequence[str]) -> Cells | None:
             end += 1
         best, k = max(best, (end - k, -k)), max(end, k + 1)
     count, first = best[0], -best[1]
-    if count < FEWEST:
+    if count < MIN_BEAMS:
         return None
     unit = (stems[first] or "").strip("_[").rpartition("_")[2]
     return Cells(first, first + count, UNITS.get(unit, 1.0))
@@ -176,6 +178,6 @@ def _angles(
     if "angle_min" in cells and "angle_step" in cells:
         return None
     raise MessageError(
-        "the directions of the beams are not known: say --set source.angle_min=RAD and --set "
-        "source.angle_step=RAD, of the first beam and from beam to beam, counter-clockwise"
+        "the directions of the beams are unknown: give --set source.angle_min=RAD (of the first beam) "
+        "and --set source.angle_step=RAD (from beam to beam, counter-clockwise)"
     )

@@ -1,7 +1,7 @@
-"""CSV files whose rows hold odometry, a scan, or both; the columns are told by their names.
+"""CSV files whose rows contain odometry, a scan, or both; the columns are recognised by name.
 
-A row may leave cells of odometry, or all ranges, empty; a single empty range is a beam without return.
-Lines that begin with # are comments, but for the header.
+The odometry cells or all ranges of a row may be empty; a single empty range is a beam without return.
+Lines that start with # are comments, except the header.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from impslam.errors import MessageError, SourceError
 from impslam.sources.base import Stream
 from impslam.sources.csv_columns import Cells, Layout, Role, layout
 from impslam.sources.parts import Located
-from impslam.sources.text import TextSource, beam_angles, beam_times, finite, head
+from impslam.sources.text import TextSource, beam_angles, beam_times, check_finite, head
 from impslam.types import Array, LaserScan, Message, OdometryPose, Velocity, WheelAngles
 
 SEPARATORS = (b",", b";", b"\t")
-FEWEST = 4  # columns: a stamp and three ranges
+MIN_COLUMNS = 4  # a stamp and three ranges
 EPOCHS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))
-"""Stamps from which on they are ns, us or ms since 1970: s will be as many in 5000 years."""
+"""Stamps above which the unit is ns, us or ms since 1970; in s, 1e11 would be the year 5138."""
 
 
 STREAMS: dict[type[Message], str] = {
@@ -38,16 +38,16 @@ STREAMS: dict[type[Message], str] = {
 
 @register("csv")
 class CsvLog(TextSource):
-    """CSV with a header that names its columns, or columns that are named by `columns`."""
+    """CSV with columns named in a header or by `columns`."""
 
     describes_robot: ClassVar[bool] = True
 
     columns: dict[Role, str] = parameter(
-        {}, "1", "column of each role: NAME, for ranges FIRST:LAST, or either with *FACTOR"
+        {}, "1", "column of each role: NAME, or FIRST:LAST for ranges, either with *FACTOR"
     )
-    angle_min: float = parameter(math.nan, "rad", "direction of the first beam; nan: in the file")
+    angle_min: float = parameter(math.nan, "rad", "direction of the first beam; nan: from the file")
     angle_step: float = parameter(
-        math.nan, "rad", "from beam to beam, counter-clockwise; nan: in the file"
+        math.nan, "rad", "angle from beam to beam, counter-clockwise; nan: from the file"
     )
 
     _has_header: bool = PrivateAttr(default=True)
@@ -56,13 +56,13 @@ class CsvLog(TextSource):
 
     @classmethod
     def recognises(cls, path: Path) -> bool:
-        """Tell by the first two lines: as many cells in both, and numbers in the second."""
+        """Recognise the format by two lines with equal numbers of cells, and numbers in the second."""
         lines = [line.strip() for line in head(path)[:50]]
         lines = [lines[0], *(line for line in lines[1:] if line[:1] != b"#")] if lines else []
         if len(lines) < 2 or b"{" in lines[0]:  # JSON has commas, too
             return False
         first, second = (line.split(_separator(lines[0])) for line in lines[:2])
-        return len(first) == len(second) and sum(map(_is_cell, second)) >= FEWEST
+        return len(first) == len(second) and sum(map(_is_cell, second)) >= MIN_COLUMNS
 
     def __enter__(self) -> Self:
         super().__enter__()
@@ -77,26 +77,26 @@ class CsvLog(TextSource):
         return self
 
     def kinds(self) -> frozenset[type[Message]]:
-        """Return scans, and the kind of odometry that the columns hold."""
+        """Return scans, and the kind of odometry in the columns."""
         motion = self._motion()
         return frozenset({LaserScan} if motion is None else {LaserScan, motion})
 
     def defaults(self) -> Mapping[type[Message], str]:
-        """Return the two streams that a file has."""
+        """Return the streams of the file."""
         return {kind: STREAMS[kind] for kind in self.kinds()}
 
     def streams(self) -> list[Stream]:
-        """Return odometry and scans, with the columns that they are read from."""
+        """Return odometry and scans, with their columns."""
         streams, found = [], self._columns()
         for kind, name in sorted(self.defaults().items(), key=lambda item: item[1]):
             roles = ("ranges",) if kind is LaserScan else found.motion
             cells = [found.cells[role] for role in roles]
             streams.append(
-                Stream(name, kind.__name__, None, True, self._named(cells), default=True)
+                Stream(name, kind.__name__, None, True, self._describe(cells), default=True)
             )
         return streams
 
-    def _named(self, cells: list[Cells]) -> str:
+    def _describe(self, cells: list[Cells]) -> str:
         firsts = [self._header[one.first] for one in cells]
         if cells[0].last - cells[0].first > 1:
             return f"columns {firsts[0]} to {self._header[cells[0].last - 1]}"
@@ -131,8 +131,8 @@ class CsvLog(TextSource):
             try:
                 values = _numbers(text.split(mark), used, width)
                 stamp = _value(values, found.cells["stamp"])
-                finite("the stamp", stamp)
-                unit = unit or next((by for least, by in EPOCHS if abs(stamp) > least), 1.0)
+                check_finite("the stamp", stamp)
+                unit = unit or next((factor for low, factor in EPOCHS if abs(stamp) > low), 1.0)
                 motion = self._odometry(values, found, stamp * unit)
                 row = [*motion, *_scan(values, found, stamp * unit)]
             except (ValueError, MessageError) as error:
@@ -147,7 +147,7 @@ class CsvLog(TextSource):
         cells = [_value(values, found.cells[role]) for role in found.motion]
         if not cells or all(map(math.isnan, cells)):
             return
-        finite("odometry", *cells)
+        check_finite("odometry", *cells)
         kind = self._motion()
         if kind is OdometryPose:
             yield OdometryPose(stamp, np.array(cells))
@@ -166,7 +166,7 @@ def _scan(values: Array, found: Layout, stamp: float) -> Iterator[LaserScan]:
     angles = found.angles
     if angles is None:
         start, step = (_value(values, found.cells[role]) for role in ("angle_min", "angle_step"))
-        finite("angle_min or angle_step", start, step)
+        check_finite("angle_min or angle_step", start, step)
         angles = beam_angles(len(ranges), start, step)
     low, high = (
         _value(values, found.cells[role]) if role in found.cells else math.nan
@@ -176,7 +176,7 @@ def _scan(values: Array, found: Layout, stamp: float) -> Iterator[LaserScan]:
 
 
 def _numbers(cells: list[bytes], used: list[int], width: int) -> Array:
-    """Return (width,) the numbers in the columns that are used, NaN in the others and where empty."""
+    """Return the numbers (width,) in the used columns; NaN in other columns and empty cells."""
     if len(cells) != width:
         raise MessageError(f"{len(cells)} cells instead of {width}")
     values = np.full(width, np.nan)
@@ -193,7 +193,7 @@ def _separator(line: bytes) -> bytes:
 
 
 def _is_cell(text: bytes) -> bool:
-    """Tell whether a cell is a number or empty."""
+    """Return whether a cell is a number or empty."""
     try:
         float(text.strip() or b"nan")
     except ValueError:

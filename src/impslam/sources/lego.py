@@ -1,14 +1,14 @@
-"""The folder of a LEGO robot with a small lidar, as used in Claus Brenner's SLAM lectures.
+"""Folder of a LEGO robot with a small lidar, as used in Claus Brenner's SLAM lectures.
 
-`*_motors.txt` holds `M t left(4) right(4) third(4)` with the ticks in the first word of each four,
-`*_scan.txt` holds `S t n r0 ... r(n-1)`; times are in ms on one clock, ranges in mm.
+`*_motors.txt` contains `M t left(4) right(4) third(4)` with the ticks in the first word of each four,
+`*_scan.txt` contains `S t n r0 ... r(n-1)`; times are in ms on one clock, ranges in mm.
 
-Where they exist, `*_reference.txt` holds the true positions as `P t x y` and `*landmarks.txt` the
-cylinders as `L C x y size`, in mm, in a frame of their own.
+The optional `*_reference.txt` contains the true positions as `P t x y`, and `*landmarks.txt` the cylinders
+as `L C x y size`, in mm, in a separate frame.
 
-The lectures pair the i-th M with the i-th S. But both are stamped when they arrive, unevenly and in
-streams of their own: so each keeps its own stamps here, and the files are merged by them. How late the
-lidar's are is a property of the robot (`latency` of its lidar).
+The lectures pair the i-th M with the i-th S. But both are stamped on arrival, independently and at uneven
+intervals: here each keeps its own stamps, and the files are merged by them. The delay of the scans is a
+property of the robot (`latency` of its lidar).
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ from impslam.component import register
 from impslam.errors import MessageError, SourceError
 from impslam.sources.base import Stream
 from impslam.sources.parts import Located
-from impslam.sources.text import TextSource, beam_angles, beam_times, finite, head, numbers
+from impslam.sources.text import TextSource, beam_angles, beam_times, check_finite, head, numbers
 from impslam.types import LaserScan, Message, TrueLandmark, TruePose, WheelAngles
 
 STEP = 2.0 * math.pi / 1024.0  # rad, beams of a URG-04LX
-MOUNT = math.radians(-4.0)  # rad; the format's beam angles include the turn of the mount
+MOUNT = math.radians(-4.0)  # rad; the format's beam angles include the rotation of the mount
 START = -330.0 * STEP + MOUNT
 BEAM_TIME = 60.0 / 600.0 / 1024.0  # s; 600 rpm
-RANGE_MIN = 0.02  # m; below are error codes
-SCORING = "for scoring only"
+RANGE_MIN = 0.02  # m; smaller values are error codes
+SCORING = "only for scoring"
 
 
 @register("lego")
@@ -45,13 +45,13 @@ class Lego(TextSource):
 
     @classmethod
     def recognises(cls, path: Path) -> bool:
-        """Tell by a pair of files whose lines open with M and S."""
+        """Recognise the format by a pair of files whose lines start with M and S."""
         return path.is_dir() and bool(_runs(path))
 
     def _files(self) -> list[Path]:
         runs = _runs(self.path)
         if not runs:
-            raise SourceError(f"{self.path}: no *_motors.txt with its *_scan.txt; check the folder")
+            raise SourceError(f"{self.path}: no *_motors.txt with a *_scan.txt; check the folder")
         motors, scans = runs[0]
         reference = motors.with_name(motors.name.replace("_motors.txt", "_reference.txt"))
         return [motors, scans, *([reference] if reference.is_file() else [])]
@@ -60,12 +60,12 @@ class Lego(TextSource):
         motors, scans, *reference = self._files()
         wheels = self._read(motors, b"M", _wheels)
         sweeps = self._read(scans, b"S", self._scan)
-        # Lines are not sorted within a file; merging only says whose turn it is.
+        # Lines are not sorted within a file; the merge only interleaves the files.
         truth = (self._read(path, b"P", _position, checked=False) for path in reference)
         yield from heapq.merge(wheels, sweeps, *truth, key=attrgetter("message.stamp"))
 
     def true_landmarks(self) -> list[TrueLandmark]:
-        """Return the cylinders of the folder, by their centres."""
+        """Return the cylinders in the folder."""
         lines = [
             line.split()
             for path in sorted(self.path.glob("*landmarks.txt"))
@@ -99,15 +99,15 @@ class Lego(TextSource):
     def _scan(self, tokens: list[bytes]) -> LaserScan:
         n = int(tokens[2])
         if n <= 0 or len(tokens) != n + 3:
-            raise MessageError(f"{len(tokens)} words, which does not fit {n} ranges")
+            raise MessageError(f"{len(tokens)} words, which does not match {n} ranges")
         stamp = float(tokens[1]) / 1000.0
-        finite("stamp", stamp)
+        check_finite("stamp", stamp)
         ranges = numbers(tokens[3:]) / 1000.0
         angles, times = beam_angles(n, START, STEP), beam_times(n, BEAM_TIME)
         return LaserScan(stamp, angles, ranges, times, range_min=RANGE_MIN)
 
     def streams(self) -> list[Stream]:
-        """Return the files of the run in use, and others that are there."""
+        """Return the files of the run in use, and other files in the folder."""
         motors, scans, *_ = self._files()
         found = [
             Stream(
@@ -133,24 +133,24 @@ class Lego(TextSource):
 
 def _tagged(tokens: list[bytes], tag: bytes) -> list[bytes]:
     if tokens[0] != tag:
-        raise MessageError(f"the line does not open with {tag.decode()}")
+        raise MessageError(f"the line does not start with {tag.decode()}")
     return tokens
 
 
 def _wheels(tokens: list[bytes]) -> WheelAngles:
     stamp, left, right = float(tokens[1]) / 1000.0, float(tokens[2]), float(tokens[6])
-    finite("stamp or ticks", stamp, left, right)
+    check_finite("stamp or ticks", stamp, left, right)
     return WheelAngles(stamp, left, right)
 
 
 def _position(tokens: list[bytes]) -> TruePose:
     stamp, x, y = (float(token) / 1000.0 for token in tokens[1:4])
-    finite("stamp or position", stamp, x, y)
+    check_finite("stamp or position", stamp, x, y)
     return TruePose(stamp, np.array([x, y, math.nan]))
 
 
 def _runs(folder: Path) -> list[tuple[Path, Path]]:
-    """Return the (motors, scan) files in a folder that belong together, by name."""
+    """Return the pairs of (motors, scan) files in a folder, matched by name."""
     pairs = [
         (motors, motors.with_name(motors.name.replace("_motors.txt", "_scan.txt")))
         for motors in sorted(folder.glob("*_motors.txt"))

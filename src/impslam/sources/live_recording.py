@@ -1,4 +1,4 @@
-"""Writing a log that survives its program and the power: whole up to the last time it was synced."""
+"""Writes a log that survives a crash or a power loss: it is complete up to the last sync."""
 
 from __future__ import annotations
 
@@ -23,26 +23,26 @@ if sys.platform != "win32":
     import fcntl
 
 _CHECKED: dict[int, int] = {zstd.CompressionParameter.checksum_flag: 1}
-_sync_data = getattr(os, "fdatasync", os.fsync)  # not everywhere; its size is part of the data
+_sync_data = getattr(os, "fdatasync", os.fsync)  # fdatasync, if available, also syncs the size
 
 
-class TakenError(SourceError):
+class LogExistsError(SourceError):
     """A log of this name exists already."""
 
 
 class LiveMcapWriter(McapWriter):
-    """Writes a log that grows under its final name; all that was written is safe after `sync`.
+    """Writes a log that grows under its final name; after `sync`, all data so far are safe.
 
-    What is cut off or zeroed behind that, by a kill or a power loss, is recognised in reading: each
-    chunk carries a checksum. While it is written the file is locked (flock), so that every
-    process can tell, and the lock goes with the writer, however that ends. Leaving the context
-    writes the summary that makes it a log like any other; errors of the disk come as `OSError`.
+    Later data that a kill or a power loss cut off or zeroed are detected when reading, because each chunk
+    has a checksum. During writing the file is locked (flock), which any process can check; the lock ends
+    with the writer's process. Leaving the context writes the summary, after which the log is like any
+    other; disk errors are raised as `OSError`.
 
     Parameters
     ----------
     path : file to write; it must not exist
     preset : name of the robot's preset, written first, on a latched topic
-    begin : s, when the log begins; no message is logged before
+    begin : start of the log, s; no message is logged earlier
     """
 
     def __init__(self, path: Path, preset: str, begin: float) -> None:
@@ -51,15 +51,15 @@ class LiveMcapWriter(McapWriter):
         self._synced = 0
 
     def __enter__(self) -> Self:
-        """Begin the log in a hidden folder and move it to its place once it can be opened."""
+        """Start the log in a hidden folder and move it to its path once it can be opened."""
         super().__enter__()
-        with self._folder:  # rosbags writes folders; no trace of it stays, whatever happens later
+        with self._folder:  # rosbags writes folders; this one is always removed
             try:
                 self._storage.compressor = lambda data: zstd.compress(data, options=_CHECKED)
                 _lock(self._file)
                 self._write_preset()
                 self.sync()
-                self._take_place()
+                self._move_to_path()
             except BaseException:
                 self._writer.abort()
                 raise
@@ -67,11 +67,11 @@ class LiveMcapWriter(McapWriter):
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         if kind is not None:
-            with suppress(OSError):  # closing tries once more to write what could not be written
+            with suppress(OSError):  # closing retries the failed write
                 self._writer.abort()
             return
-        folder = self._writer.path  # where rosbags wants to put its metadata.yaml
-        with os.fdopen(os.dup(self._file.fileno()), "rb") as still_open:  # and locked
+        folder = self._writer.path  # rosbags writes its metadata.yaml there
+        with os.fdopen(os.dup(self._file.fileno()), "rb") as still_open:  # keeps the lock
             try:
                 self.sync()
                 folder.mkdir(parents=True)
@@ -85,7 +85,7 @@ class LiveMcapWriter(McapWriter):
                 shutil.rmtree(folder.parent, ignore_errors=True)
 
     def sync(self) -> None:
-        """Close the chunk and see all that was written safely to the disk."""
+        """Close the chunk and flush all data to the disk."""
         if self._storage.chunk.msgs:
             self._storage.close_chunk()
         self._file.flush()
@@ -94,15 +94,15 @@ class LiveMcapWriter(McapWriter):
 
     @property
     def size(self) -> int:
-        """Bytes written."""
+        """Number of bytes written."""
         return self._file.tell()
 
     @property
     def in_place(self) -> bool:
-        """Whether the log is where it was begun, and whole; one that was deleted goes on unseen."""
+        """Whether the log is still at its path and complete; writing to a deleted file does not fail."""
         try:
-            there, ours = self._path.stat(), os.fstat(self._file.fileno())
-            return os.path.samestat(there, ours) and there.st_size >= self._synced
+            found, ours = self._path.stat(), os.fstat(self._file.fileno())
+            return os.path.samestat(found, ours) and found.st_size >= self._synced
         except FileNotFoundError:
             return False
 
@@ -116,36 +116,38 @@ class LiveMcapWriter(McapWriter):
     def _file(self) -> BinaryIO:
         return self._storage.bio
 
-    def _take_place(self) -> None:
+    def _move_to_path(self) -> None:
         try:
-            self._path.open("xb").close()  # so that nothing is ever overwritten
+            self._path.open(
+                "xb"
+            ).close()  # fails if the file exists, so that nothing is overwritten
         except FileExistsError:
-            raise TakenError(f"{self._path}: exists already; choose another name") from None
+            raise LogExistsError(f"{self._path}: already exists; choose another name") from None
         self._storage.path.replace(self._path)
         if sys.platform != "win32":
             folder = os.open(self._path.parent, os.O_RDONLY)
             try:
-                with suppress(OSError):  # not every file system can
-                    os.fsync(folder)  # the name, too, should survive
+                with suppress(OSError):  # not supported by every file system
+                    os.fsync(folder)  # make the name durable, too
             finally:
                 os.close(folder)
 
 
 def _lock(file: BinaryIO) -> None:
     if sys.platform != "win32":
-        with suppress(OSError):  # not every file system can
+        with suppress(OSError):  # not supported by every file system
             fcntl.flock(file, fcntl.LOCK_EX)
 
 
 def is_being_written(path: Path) -> bool:
-    """Tell whether a `LiveMcapWriter`, of this process or another one, is writing the file."""
+    """Return whether a `LiveMcapWriter`, in this process or another one, is writing the file."""
     if sys.platform == "win32":
-        return False  # there a file that is open can be neither moved nor deleted
+        return False  # Windows does not let anyone move or delete an open file
     try:
         with path.open("rb") as file:
             fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:
         return True
-    except OSError:  # it has vanished, or cannot be read
+    except OSError:  # it does not exist any more, or cannot be read
         return False
     return False

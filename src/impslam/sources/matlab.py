@@ -1,4 +1,4 @@
-"""What the readers of MATLAB files share: a file or a folder of them, opened by the variables inside."""
+"""Common parts of the readers of MATLAB files: files are recognised by their variables."""
 
 from __future__ import annotations
 
@@ -22,26 +22,26 @@ from impslam.sources.unpack import UNIT_LIMIT, LimitError
 from impslam.types import Array
 
 _MAGIC = b"MATLAB 5.0 MAT-file"
-_COMPRESSED = 15  # type of a variable that zlib has packed
+_COMPRESSED = 15  # type of a variable compressed with zlib
 Variables = Mapping[str, npt.NDArray[Any]]
 
 
 def variables(path: Path) -> frozenset[str]:
-    """Return the names of the variables in a MATLAB file; none if it is none, damaged or too large."""
+    """Return the names of the variables in a MATLAB file; none for other, damaged or too large files."""
     if not _is_matlab(path) or _unpacked_size(path) > UNIT_LIMIT:
         return frozenset()
-    from scipy.io import whosmat  # noqa: PLC0415  0.1 s, only for this
+    from scipy.io import whosmat  # noqa: PLC0415  takes 0.1 s to import
 
     try:
         with warnings.catch_warnings(action="ignore"):
             found = whosmat(path)
             return frozenset(name for name, shape, _ in found if 8 * math.prod(shape) <= UNIT_LIMIT)
-    except Exception:  # what a damaged file raises is anyone's guess
+    except Exception:  # a damaged file may raise anything
         return frozenset()
 
 
 def _unpacked_size(path: Path) -> int:
-    """Return the bytes of a MATLAB file with its variables unpacked; stops soon after the limit."""
+    """Return the size of a MATLAB file's unpacked variables, bytes; stop soon after the limit."""
     total = 0
     with path.open("rb") as file:
         size = file.seek(0, 2)
@@ -56,7 +56,7 @@ def _unpacked_size(path: Path) -> int:
 
 
 def _inflated_size(file: BinaryIO, end: int) -> int:
-    """Return the bytes that a variable unpacks to; stops at damage, and soon after the limit."""
+    """Return the unpacked size of a variable, bytes; stop at damaged data and soon after the limit."""
     total, inflate = 0, zlib.decompressobj()
     with suppress(zlib.error):
         while total <= UNIT_LIMIT and (packed := file.read(min(1 << 16, end - file.tell()))):
@@ -74,32 +74,32 @@ def read_variables(path: Path, wanted: frozenset[str]) -> Variables:
     SourceError
         If the file is damaged, or lacks one of them.
     """
-    from scipy.io import loadmat  # noqa: PLC0415  0.1 s, only for this
+    from scipy.io import loadmat  # noqa: PLC0415  takes 0.1 s to import
 
     try:
         with warnings.catch_warnings(action="ignore"):
             found = loadmat(path, variable_names=wanted)
-    except Exception as error:  # what a damaged file raises is anyone's guess
-        said = f"{error}".split("\n", 1)[0]
-        raise SourceError(f"{path}: cannot be read ({said}); copy it again") from None
+    except Exception as error:  # a damaged file may raise anything
+        reason = f"{error}".split("\n", 1)[0]
+        raise SourceError(f"{path}: cannot be read ({reason}); copy it again") from None
     if missing := sorted(wanted - set(found)):
         raise SourceError(f"{path}: lacks {', '.join(missing)}; copy it again")
     return {name: found[name] for name in wanted}
 
 
 def column(path: Path, values: Variables, name: str) -> Array:
-    """Return a variable as float64 (n,); `SourceError` where it is no row or column of numbers."""
+    """Return a variable as float64 (n,); raise `SourceError` if it is not a row or column of numbers."""
     array = values[name]
     if array.dtype.kind not in "fiu" or array.size != max(array.shape, default=0):
-        raise SourceError(f"{path}: {name} is no row of numbers; copy it again")
+        raise SourceError(f"{path}: {name} is not a row of numbers; copy it again")
     return array.ravel().astype(np.float64)
 
 
 def same_length(path: Path, **columns: npt.NDArray[Any]) -> None:
-    """Raise `SourceError` unless all columns are of one length."""
+    """Raise `SourceError` unless all columns have the same length."""
     if len({len(c) for c in columns.values()}) > 1:
-        said = ", ".join(f"{name} {len(c)}" for name, c in columns.items())
-        raise SourceError(f"{path}: lengths differ ({said}); copy it again")
+        lengths = ", ".join(f"{name} {len(c)}" for name, c in columns.items())
+        raise SourceError(f"{path}: lengths differ ({lengths}); copy it again")
 
 
 def _is_matlab(path: Path) -> bool:
@@ -110,38 +110,38 @@ def _is_matlab(path: Path) -> bool:
 
 
 class MatlabSource(Source):
-    """A MATLAB file, or the folder it is in; such files are read whole, being a few MB."""
+    """A MATLAB file, or the folder that contains it; it is read as a whole, being a few MB."""
 
     needs: ClassVar[frozenset[str]]
-    """Variables by which the file of the log is known."""
+    """Variables by which the log's file is recognised."""
 
     _count: int = PrivateAttr(0)
     _done: int = PrivateAttr(0)
 
     @classmethod
     def recognises(cls, path: Path) -> bool:
-        """Tell by the variables in the file, or in a file of the folder.
+        """Recognise the format by the variables in the file, or in a file of the folder.
 
         Raises
         ------
         LimitError
-            If the path is a MATLAB file that is larger than any that is read.
+            If the path is a MATLAB file that is too large.
         """
         if _is_matlab(path) and _unpacked_size(path) > UNIT_LIMIT:
             raise LimitError(
                 f"{path}: unpacks to more than {UNIT_LIMIT // 1_000_000} MB, twenty times the "
-                "largest such log; check where it is from"
+                "largest such log; check its origin"
             )
         return cls._find(path, cls.needs) is not None
 
     @classmethod
     def _find(cls, path: Path, wanted: frozenset[str]) -> Path | None:
-        """Return the first file with some variables: the path itself, or one in the folder."""
+        """Return the first file with all these variables: the path itself, or one in the folder."""
         files = sorted(path.glob("*.mat")) if path.is_dir() else [path]
         return next((file for file in files if wanted <= variables(file)), None)
 
     def _beside(self, wanted: frozenset[str]) -> Path | None:
-        """Return the first file with some variables in the folder of the log."""
+        """Return the first file with all these variables in the folder of the log."""
         return self._find(self.path if self.path.is_dir() else self.path.parent, wanted)
 
     @property
@@ -153,7 +153,7 @@ class MatlabSource(Source):
 
     @abstractmethod
     def _open(self, log: Path) -> int:
-        """Read the log's file; return how many messages there are."""
+        """Read the log's file; return the number of messages."""
 
     def __enter__(self) -> Self:
         self._count = self._open(self._log)
@@ -164,7 +164,7 @@ class MatlabSource(Source):
 
     @abstractmethod
     def _close(self) -> None:
-        """Let go of what was read."""
+        """Release the data that were read."""
 
     @property
     def total(self) -> int | None:
@@ -173,5 +173,5 @@ class MatlabSource(Source):
 
     @property
     def position(self) -> int:
-        """Messages read so far."""
+        """Number of messages read so far."""
         return self._done

@@ -1,4 +1,4 @@
-"""One MCAP file of ROS 2 that appears when it is complete."""
+"""Writes an MCAP file of ROS 2 that appears when it is complete."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ LATCHED = Qos(
     _FOREVER,
     False,
 )
-"""What a topic offers whose last message is for those, too, who listen later."""
+"""Quality of service of a topic that gives its last message to late subscribers, too."""
 
 
 class McapFile:
-    """Writes records to an MCAP file (profile ros2, CDR, zstd chunks); the same ones give the same bytes.
+    """Writes records to an MCAP file (profile ros2, CDR, zstd chunks); equal records give equal bytes.
 
-    The file appears when it is closed without an error, and replaces one that exists.
+    The file appears when it is closed without an error, and replaces an existing one.
     """
 
     def __init__(self, path: Path) -> None:
@@ -48,10 +48,10 @@ class McapFile:
         self._connections: dict[str, Connection] = {}
 
     def __enter__(self) -> Self:
-        """Open a temporary folder beside the file, since rosbags writes folders."""
+        """Open a temporary folder beside the file, because rosbags writes folders."""
         with written(self._path, "check folder and permissions", SourceError):
             self._folder = tempfile.TemporaryDirectory(prefix=".imp-", dir=self._path.parent)
-        # The name within is recorded in the file; a fixed one keeps the bytes the same.
+        # The file contains the name within the folder; a fixed name keeps the bytes the same.
         self._writer = Writer(
             Path(self._folder.name) / "log", version=9, storage_plugin=StoragePlugin.MCAP
         )
@@ -69,10 +69,10 @@ class McapFile:
             (self._writer.path / "log.mcap").replace(self._path)
 
     def _close(self) -> None:
-        """Append what comes last."""
+        """Append the last records, if any."""
 
     def append(self, record: Record, clock: int, *qos: Qos) -> None:
-        """Append a record, logged at `clock` (ns); `qos` is that of a topic's first record."""
+        """Append a record, logged at `clock` (ns); `qos` applies to a topic's first record."""
         topic, kind, data = record
         if topic not in self._connections:
             self._connections[topic] = self._writer.add_connection(

@@ -1,4 +1,4 @@
-"""The reader of rosbags for MCAP files, within limits, also for files that lack their end."""
+"""The MCAP reader of rosbags with size limits, and with support for truncated files."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from typing import Any, cast
 from rosbags.rosbag2.errors import ReaderError
 from rosbags.rosbag2.storage_mcap import DECOMPRESSORS, Channel, McapReader, Schema
 
-from impslam.sources.mcap_records import end_of_sound_records, end_of_whole_records
+from impslam.sources.mcap_records import end_of_complete_records, end_of_valid_records
 from impslam.sources.unpack import UNIT_LIMIT, check_size, check_together, unpack_lz4, unpack_zstd
 
-# rosbags unpacks a chunk whatever comes out, and looks at its size afterwards.
+# rosbags unpacks a chunk without a limit and checks its size only afterwards.
 DECOMPRESSORS.update(
     lz4=lambda data, size: unpack_lz4(data, _declared(size)),
     zstd=lambda data, size: unpack_zstd(data, _declared(size)),
@@ -20,31 +20,31 @@ DECOMPRESSORS.update(
 
 def _declared(size: int) -> int:
     check_size("a chunk", size)
-    return UNIT_LIMIT  # what is less, or more, than was declared is damage, which rosbags tells
+    return UNIT_LIMIT  # rosbags reports a size that differs from the declared one
 
 
 class BoundedFile(BufferedReader):
-    """A file of records, which are read one at a time."""
+    """A file of records that are read one at a time, with a size limit."""
 
     def read(self, size: int | None = -1, /) -> bytes:
-        """Read a record, or a part of one; none is as long as a file may say that it is."""
+        """Read a record, or a part of one; raise `LimitError` if its declared size is too large."""
         check_size("a record", size or 0)
         return super().read(size)
 
 
 class Definitions(dict[int, Any]):
-    """The schemas or channels of an MCAP file by id; what they hold together is bounded."""
+    """The schemas or channels of an MCAP file by id, with a limit on their total size."""
 
     _size = 0
 
     def __setitem__(self, key: int, value: Schema | Channel) -> None:
-        """Take one; recorders repeat them in each chunk."""
+        """Set a definition; recorders repeat them in each chunk."""
         self._size += _length(value) - (_length(self[key]) if key in self else 0)
         check_size("a list of topics", self._size)
         super().__setitem__(key, value)
 
     def clear(self) -> None:
-        """Forget them all."""
+        """Remove all definitions."""
         self._size = 0
         super().clear()
 
@@ -54,9 +54,9 @@ def _length(value: Schema | Channel) -> int:
 
 
 class CutMcapReader(McapReader):
-    """An MCAP file that may lack its end, as a robot leaves it that loses power.
+    """An MCAP file that may be truncated, e.g. after a robot's power loss.
 
-    Then it is read up to the last whole record, by scanning; rosbags alone refuses such files.
+    A truncated file is scanned and read up to the last complete record; rosbags alone rejects it.
     """
 
     is_cut = False
@@ -78,11 +78,11 @@ class CutMcapReader(McapReader):
 
     def _scan(self) -> None:
         assert self.bio is not None
-        self.data_end = end_of_whole_records(self.bio, self.data_start)
+        self.data_end = end_of_complete_records(self.bio, self.data_start)
         try:
             self.meta_scan()
-        except Exception:  # rosbags raises anything; what lies behind the last sync may be anything
-            self.data_end = end_of_sound_records(self.bio, self.data_start, self.data_end)
+        except Exception:  # rosbags may raise anything: data after the last sync are arbitrary
+            self.data_end = end_of_valid_records(self.bio, self.data_start, self.data_end)
             for found in (self.schemas, self.channels, self.connections):
                 found.clear()
             self.meta_scan()

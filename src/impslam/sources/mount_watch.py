@@ -1,4 +1,4 @@
-"""Notices when the mount of a laser is no longer the one that its scans are used with."""
+"""Detects when the mount of a laser differs from the one that its scans are used with."""
 
 from __future__ import annotations
 
@@ -12,32 +12,32 @@ from impslam.errors import MessageError
 from impslam.sources.transforms import FrameTree, Link
 from impslam.types import Array
 
-SAME_PLACE, SAME_DIRECTION = 1e-3, math.radians(0.1)
-"""m, rad: what publishers of one transform differ by; a 2D lidar cannot tell less."""
+MAX_SHIFT, MAX_TURN = 1e-3, math.radians(0.1)
+"""Differences between publishers of one transform, m and rad, too small to matter for a 2D lidar."""
 
 
 class MountWatch:
-    """The mounts of lasers as transforms arrive, beside those at the first scan.
+    """Compares the mounts of lasers, as transforms arrive, with those at the first scan.
 
     Parameters
     ----------
     tree : the frames at the first scan
-    lasers : base and the frame of the laser, by the stream of its scans
+    lasers : base frame and laser frame, by the stream of the scans
 
     Attributes
     ----------
-    frames : the frames whose links the mounts are made of
+    frames : child frames of the links that the mounts consist of
     """
 
     def __init__(self, tree: FrameTree, lasers: Mapping[str, tuple[str, str]]) -> None:
         self._tree, self._lasers = tree.copy(), lasers
-        ways = {stream: tree.way(*frames) for stream, frames in lasers.items()}
-        self._first = {stream: T for stream, (T, _) in ways.items()}
-        self.frames = {link.child for _, links in ways.values() for link in links}
+        chains = {stream: tree.chain(*frames) for stream, frames in lasers.items()}
+        self._first = {stream: T for stream, (T, _) in chains.items()}
+        self.frames = {link.child for _, links in chains.values() for link in links}
         self._moved: dict[str, str] = {}
 
     def update(self, links: Iterable[Link]) -> None:
-        """Enter links that have arrived."""
+        """Add new links."""
         own = [link for link in links if link.child in self.frames]
         for link in own:
             self._tree.add(link)
@@ -45,24 +45,24 @@ class MountWatch:
             return
         for stream, frames in self._lasers.items():
             with suppress(MessageError):
-                T, _ = self._tree.way(*frames)
+                T, _ = self._tree.chain(*frames)
                 self._moved[stream] = _difference(self._first[stream], T)
 
     def may_be_in(self, data: bytes) -> bool:
-        """Tell whether a serialised message names one of the frames."""
+        """Return whether a serialised message contains the name of one of the frames."""
         return any(frame.encode() in data for frame in self.frames)
 
     def moved(self, stream: str) -> str:
-        """Return by how much the mount of a stream's laser differs from the first one, or nothing."""
+        """Return the difference of the mount of a stream's laser from the first one, or ""."""
         return self._moved.get(stream, "")
 
 
 def _difference(first: Array, now: Array) -> str:
     with np.errstate(all="ignore"):  # a damaged log may move it by 1e300 m
         D = np.linalg.inv(first) @ now
-        way = float(np.linalg.norm(D[:3, 3]))
+        shift = float(np.linalg.norm(D[:3, 3]))
     sine = 0.5 * float(np.linalg.norm((D - D.T)[[2, 0, 1], [1, 2, 0]]))
     turn = math.atan2(sine, 0.5 * (float(np.trace(D)) - 2.0))
-    if way <= SAME_PLACE and turn <= SAME_DIRECTION:
+    if shift <= MAX_SHIFT and turn <= MAX_TURN:
         return ""
-    return f"{way:.3f} m and {math.degrees(turn):.1f} degrees"
+    return f"{shift:.3f} m and {math.degrees(turn):.1f} degrees"

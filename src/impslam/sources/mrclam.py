@@ -1,4 +1,4 @@
-"""The folder of a UTIAS Multi-Robot Cooperative Localization and Mapping data set (Leung et al. 2011).
+"""Folder of a UTIAS Multi-Robot Cooperative Localization and Mapping data set (Leung et al. 2011).
 
 Five robots with a monocular camera drive among landmarks with barcodes; one robot's log is read:
 
@@ -8,9 +8,9 @@ Five robots with a monocular camera drive among landmarks with barcodes; one rob
     RobotN_Groundtruth.dat     t x y theta            motion capture, for scoring
     Landmark_Groundtruth.dat   subject x y ...        likewise
 
-Rows of one picture are stamped up to some milliseconds apart and make one message; pictures are 0.2 s
-apart. A landmark's label is its subject. The other robots move and are no landmarks: what is seen of
-them is left out. Barcodes that nobody has were misread.
+Rows of one picture have stamps up to some milliseconds apart and form one message; pictures are 0.2 s
+apart. A landmark's label is its subject. Detections of the other robots are left out, because they move.
+Unknown barcodes are misreadings.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ from impslam.columns import Columns
 from impslam.component import parameter, register
 from impslam.errors import MessageError, SourceError
 from impslam.sources.base import Stream
-from impslam.sources.parts import Located, Piece, single, turns
+from impslam.sources.parts import Located, Piece, merge_order, single
 from impslam.sources.tables import Lines
 from impslam.sources.text import TextSource, head, numbers
 from impslam.types import Array, Detections, Ints, TrueLandmark, TruePose, Velocity
 
-ROBOTS = 5  # the first subjects
-PICTURE = 0.02  # s; rows nearer than this are of one picture, a tenth of the camera's period
+ROBOTS = 5  # subjects 1 to 5 are robots
+PICTURE = 0.02  # s, maximum time between rows of one picture; a tenth of the camera's period
 _FILE = re.compile(r"Robot(\d+)_(Odometry|Measurement|Groundtruth)\.dat")
-_LARGEST = 1e12  # of any number here; the largest are stamps
+_MAX_VALUE = 1e12  # the largest valid numbers are stamps
 _COLUMNS = {"Odometry": 3, "Measurement": 4, "Groundtruth": 4}
 
 
@@ -45,12 +45,12 @@ class Mrclam(TextSource):
     default_preset: ClassVar[str] = "mrclam"
 
     robot: int = parameter(
-        0, "", "whose log to read; 0: the one whose file is named, or else the first", ge=0
+        0, "", "robot whose log to read; 0: the one whose file is given, or else the first", ge=0
     )
 
     @classmethod
     def recognises(cls, path: Path) -> bool:
-        """Tell by a robot's odometry and measurements, of as many numbers a line as they have."""
+        """Recognise the format by a robot's odometry and measurements with the right number of columns."""
         folder, _ = _split(path)
         return (path.is_dir() or _FILE.fullmatch(path.name) is not None) and bool(_robots(folder))
 
@@ -60,10 +60,10 @@ class Mrclam(TextSource):
         robots = _robots(folder)
         number = self.robot or named or (robots[0] if robots else 0)
         if number not in robots:
-            there = ", ".join(map(str, robots)) or "none"
+            available = ", ".join(map(str, robots)) or "none"
             raise SourceError(
-                f"{self.path}: no odometry and measurements of robot {number}; there are those of "
-                f"{there}: choose by --set source.robot=N"
+                f"{self.path}: no odometry and measurements of robot {number}; available: "
+                f"{available}; choose one with --set source.robot=N"
             )
         return number
 
@@ -72,11 +72,11 @@ class Mrclam(TextSource):
 
     def _files(self) -> list[Path]:
         own = [self._file(what) for what in ("Odometry", "Measurement", "Groundtruth")]
-        there = own if own[2].is_file() else own[:2]
-        return [*there, _split(self.path)[0] / "Barcodes.dat"]
+        existing = own if own[2].is_file() else own[:2]
+        return [*existing, _split(self.path)[0] / "Barcodes.dat"]
 
     def _parts(self, rows: int) -> Iterator[list[Piece]]:
-        """Yield all rows: the files are some MB, and are merged by their stamps."""
+        """Yield all rows; the files have some MB and are merged by their stamps."""
         del rows
         odometry, measurement, *truth, barcodes = self._files()
         subjects = {int(row[1]): int(row[0]) for row in self._table(barcodes, 2)[1]}
@@ -84,7 +84,7 @@ class Mrclam(TextSource):
         pictures = list(self._pictures(measurement, subjects))
         tracked = self._table(truth[0], 4) if truth else (np.empty(0, np.int64), np.empty((0, 4)))
         seen = np.array([picture.message.stamp for picture in pictures])
-        orders = turns(wheels[1][:, 0], seen, tracked[1][:, 0])
+        orders = merge_order(wheels[1][:, 0], seen, tracked[1][:, 0])
         part = [single(*picture) for picture in zip(pictures, orders[1].tolist(), strict=True)]
         stamp, speed, turn_rate = wheels[1].T.copy()
         motion = {"stamp": stamp, "speed": speed, "turn_rate": turn_rate}
@@ -96,7 +96,7 @@ class Mrclam(TextSource):
         yield [piece for piece in part if len(piece.columns)]
 
     def _pictures(self, path: Path, subjects: dict[int, int]) -> Iterator[Located]:
-        """Yield the landmarks in each picture that shows any."""
+        """Yield the detections of each picture that shows landmarks."""
         seen: list[Array] = []
         first = 0
         for number, row in zip(*self._table(path, 4), strict=True):
@@ -116,23 +116,23 @@ class Mrclam(TextSource):
     def _landmark(
         self, path: Path, number: int, row: Array, subjects: dict[int, int]
     ) -> int | None:
-        """Return the subject that was seen, or None if it is no landmark."""
+        """Return the detected subject, or None if it is not a landmark."""
         subject = subjects.get(int(row[1]))
         if subject is None:
             self._problems.add(
                 "unknown barcode",
-                f"{path}:{number}: barcode {row[1]:g} is not in Barcodes.dat and was misread; the "
-                "detection is dropped",
+                f"{path}:{number}: barcode {row[1]:g} is not in Barcodes.dat, so it was misread; "
+                "the detection is dropped",
             )
         return None if subject is None or subject <= ROBOTS else subject
 
     def _table(self, path: Path, columns: int) -> tuple[Ints, Array]:
-        """Return the sound rows of a file, (m,) line numbers and (m, columns)."""
+        """Return the valid rows of a file: line numbers (m,) and values (m, columns)."""
         places, tables = [np.empty(0, np.int64)], [np.empty((0, columns))]
         for first, block in self._blocks(path):
             lines = Lines(block)
             values, good = lines.table(np.arange(len(lines)), 0, columns, 0)
-            good &= (np.abs(values) < _LARGEST).all(axis=1)
+            good &= (np.abs(values) < _MAX_VALUE).all(axis=1)
             for k in np.flatnonzero(~good).tolist():
                 line = lines.line(k)
                 if line.startswith(b"#") or not line.strip():
@@ -149,17 +149,17 @@ class Mrclam(TextSource):
         """Return the surveyed landmarks, in the frame of the motion capture."""
         path = _split(self.path)[0] / "Landmark_Groundtruth.dat"
         rows = self._table(path, 5)[1] if path.is_file() else np.empty((0, 5))
-        self._open.pop(path, None)  # no part of the log, whose bytes are counted
+        self._open.pop(path, None)  # not part of the log for its progress
         return [TrueLandmark(str(int(row[0])), "point", row[1:3], {}) for row in rows]
 
     def streams(self) -> list[Stream]:
         """Return the files of the robot in use, and the other robots."""
-        folder, here = _split(self.path)[0], self._number
+        folder, chosen = _split(self.path)[0], self._number
         types = {"Odometry": "Velocity", "Measurement": "Detections", "Groundtruth": "TruePose"}
         notes = {
             "Odometry": "commanded",
             "Measurement": "rows; those of robots are left out",
-            "Groundtruth": "for scoring only",
+            "Groundtruth": "only for scoring",
         }
         found = []
         for what, kind in types.items():
@@ -170,14 +170,14 @@ class Mrclam(TextSource):
                 used = what != "Groundtruth"
                 found.append(Stream(path.name, kind, count, used, notes[what], default=used))
         for other in _robots(folder):
-            if other != here:
+            if other != chosen:
                 note = f"--set source.robot={other}"
                 found.append(Stream(f"Robot{other}_*.dat", "text", None, used=False, note=note))
         return found
 
 
 def _split(path: Path) -> tuple[Path, int]:
-    """Return the folder of a data set and the robot that the path names, or 0."""
+    """Return the folder of a data set and the number of the robot in the path's name, or 0."""
     named = _FILE.fullmatch(path.name)
     if path.is_dir() or named is None:
         return path, 0
@@ -185,7 +185,7 @@ def _split(path: Path) -> tuple[Path, int]:
 
 
 def _robots(folder: Path) -> list[int]:
-    """Return the numbers of the robots in a folder whose log is whole."""
+    """Return the numbers of the robots in a folder with odometry and measurements."""
     numbered = {int(m[1]) for p in folder.glob("Robot*.dat") if (m := _FILE.fullmatch(p.name))}
     return sorted(
         n
@@ -195,7 +195,7 @@ def _robots(folder: Path) -> list[int]:
 
 
 def _has_columns(path: Path, what: str) -> bool:
-    """Tell whether the first lines of a file that are no comments hold so many numbers."""
+    """Return whether the first lines of a file, without comments, have the right number of columns."""
     lines = [line for line in head(path) if not line.startswith(b"#") and line.strip()]
     try:
         return bool(lines) and all(len(_row(line, _COLUMNS[what])) for line in lines[:3])
@@ -207,8 +207,8 @@ def _row(line: bytes, columns: int) -> Array:
     row = numbers(line.split())
     if len(row) != columns:
         raise MessageError(f"{len(row)} words instead of {columns}")
-    if not (np.abs(row) < _LARGEST).all():
-        raise MessageError("a number is not finite or absurd")
+    if not (np.abs(row) < _MAX_VALUE).all():
+        raise MessageError("a number is not finite or too large")
     return row
 
 

@@ -1,14 +1,14 @@
 """Text exports of rawlogs of the Mobile Robot Programming Toolkit: increments and detections.
 
     ODOINC t dx dy dphi ...                        motion since the line before, on the robot
-    BR t sx sy sphi n (id range yaw pitch) * n     what a range-bearing sensor at [sx, sy, sphi] saw
+    BR t sx sy sphi n (id range yaw pitch) * n     detections of a range-bearing sensor at [sx, sy, sphi]
 
-Stamps of simulated rawlogs mean nothing (all are alike, or 0): a step is an increment with the
-detections after it, and step k is stamped k seconds here. Increments are summed up to odometry poses.
+Stamps of simulated rawlogs are meaningless (all equal, or 0): a step is an increment with the detections
+after it, and step k is stamped k seconds here. Increments are accumulated to odometry poses.
 
-Beside `NAME.txt` a simulator leaves `NAME_ground_truth_robot_path.txt`, whose row k is the pose
-(x y z yaw pitch roll) of the k-th detections, and `NAME_ground_truth.txt`, the landmarks (x y z first,
-id last). Both are read for scoring where they are there.
+Beside `NAME.txt` a simulator may write `NAME_ground_truth_robot_path.txt`, whose row k is the pose
+(x y z yaw pitch roll) of the k-th detections, and `NAME_ground_truth.txt` with the landmarks (x y z first,
+id last). If they exist, they are read for scoring.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from impslam.errors import MessageError
 from impslam.geometry.se2 import compose
 from impslam.sources.base import Stream
 from impslam.sources.parts import Located
-from impslam.sources.text import TextSource, finite, head, numbers
+from impslam.sources.text import TextSource, check_finite, head, numbers
 from impslam.types import Array, Detections, OdometryPose, TrueLandmark, TruePose
 
-_WORDS = 5  # an ODOINC of t, dx, dy, dphi has so many at least
-_OTHERS = 6  # words of a BR before its first detection
-_FAR = 1e6  # m and rad; no step of a robot goes so far
-_EACH = 4  # words of a detection: id, range, yaw, pitch
+_MIN_INCREMENT_WORDS = 5  # of an ODOINC: name, t, dx, dy, dphi
+_HEAD_WORDS = 6  # of a BR before its first detection
+_MAX_INCREMENT = 1e6  # m and rad, beyond any step of a robot
+_DETECTION_WORDS = 4  # id, range, yaw, pitch
 
 
 @register("mrpt_text")
@@ -41,9 +41,9 @@ class MrptText(TextSource):
 
     @classmethod
     def recognises(cls, path: Path) -> bool:
-        """Tell by the first lines that are no comments."""
-        said = [line for line in head(path) if not line.startswith(b"#")][:4]
-        return any(_plausible(line.split()) for line in said)
+        """Recognise the format by the first lines, without comments."""
+        lines = [line for line in head(path) if not line.startswith(b"#")][:4]
+        return any(_plausible(line.split()) for line in lines)
 
     def _messages(self) -> Iterator[Located]:
         stamp, pose = 0.0, np.zeros(3)
@@ -64,7 +64,7 @@ class MrptText(TextSource):
                         )
                     yield Located(_detections(stamp, tokens), number, "BR")
                 elif tokens and not _is_name(tokens[0]):
-                    self._reject("line", self.path, number, "it opens with no name of a record")
+                    self._reject("line", self.path, number, "it does not start with a record name")
             except (ValueError, OverflowError, IndexError, MessageError) as error:
                 self._reject(tokens[0].decode(), self.path, number, error)
 
@@ -86,15 +86,15 @@ class MrptText(TextSource):
         name = self.path.name.removesuffix(".gz").removesuffix(".txt")
         return self.path.with_name(f"{name}_{what}.txt")
 
-    def _rows(self, path: Path, least: int) -> Iterator[Array]:
-        """Yield the rows of numbers of a file that need not be there."""
+    def _rows(self, path: Path, min_words: int) -> Iterator[Array]:
+        """Yield the rows of numbers of an optional file."""
         if not path.is_file():
             return
         for number, line in self._lines(path):
             if line.startswith((b"%", b"#")) or not line.strip():
                 continue
             try:
-                row = _truth(line, least)
+                row = _truth(line, min_words)
             except (ValueError, MessageError) as error:
                 self._reject("truth", path, number, error)
                 continue
@@ -102,14 +102,14 @@ class MrptText(TextSource):
 
     @property
     def position(self) -> int:
-        """Bytes of the log itself that were read; the truth beside it does not count."""
+        """Number of bytes read from the log, without the truth beside it."""
         raw = self._open.get(self.path)
         if raw is None:
             return 0
         return self.path.stat().st_size if raw.closed else raw.tell()
 
     def streams(self) -> list[Stream]:
-        """Return the kinds of record, by name, and the truth that is there."""
+        """Return the kinds of record, by name, and the files of the truth."""
         found = [
             Stream(
                 name,
@@ -125,7 +125,7 @@ class MrptText(TextSource):
         for what in ("ground_truth_robot_path", "ground_truth"):
             path = self._beside(what)
             if path.is_file():
-                found.append(Stream(path.name, "truth", None, used=False, note="for scoring only"))
+                found.append(Stream(path.name, "truth", None, used=False, note="only for scoring"))
         return found
 
     def _note(self, name: str) -> str:
@@ -139,44 +139,44 @@ _TYPES = {"ODOINC": "OdometryPose", "BR": "Detections"}
 
 
 def _is_name(word: bytes) -> bool:
-    """Tell whether a word may be the name of a record; a comment's sign is not."""
+    """Return whether a word may be the name of a record or start a comment."""
     return word.startswith(b"#") or (word.isalpha() and word.isupper())
 
 
 def _plausible(tokens: list[bytes]) -> bool:
     if tokens[:1] == [b"ODOINC"]:
-        return len(tokens) >= _WORDS
-    return tokens[:1] == [b"BR"] and len(tokens) >= _OTHERS
+        return len(tokens) >= _MIN_INCREMENT_WORDS
+    return tokens[:1] == [b"BR"] and len(tokens) >= _HEAD_WORDS
 
 
-def _truth(line: bytes, least: int) -> Array:
+def _truth(line: bytes, min_words: int) -> Array:
     row = numbers(line.split())
-    if len(row) < least:
-        raise MessageError(f"{len(row)} words instead of {least}")
-    finite("the truth", *row)
+    if len(row) < min_words:
+        raise MessageError(f"{len(row)} words instead of {min_words}")
+    check_finite("the truth", *row)
     return row
 
 
 def _increment(tokens: list[bytes]) -> Array:
-    if len(tokens) < _WORDS:
-        raise MessageError(f"{len(tokens)} words instead of {_WORDS} or more")
+    if len(tokens) < _MIN_INCREMENT_WORDS:
+        raise MessageError(f"{len(tokens)} words instead of {_MIN_INCREMENT_WORDS} or more")
     increment = numbers(tokens[2:5])
-    if not (np.abs(increment) < _FAR).all():
-        raise MessageError("an increment is not finite or absurd")
+    if not (np.abs(increment) < _MAX_INCREMENT).all():
+        raise MessageError("an increment is not finite or too large")
     return increment
 
 
 def _detections(stamp: float, tokens: list[bytes]) -> Detections:
     n = int(tokens[5])
-    if n < 0 or len(tokens) != _OTHERS + _EACH * n:
-        raise MessageError(f"{len(tokens)} words, which does not fit {n} detections")
-    table = numbers(tokens[_OTHERS:]).reshape(n, _EACH)
+    if n < 0 or len(tokens) != _HEAD_WORDS + _DETECTION_WORDS * n:
+        raise MessageError(f"{len(tokens)} words, which does not match {n} detections")
+    table = numbers(tokens[_HEAD_WORDS:]).reshape(n, _DETECTION_WORDS)
     with np.errstate(invalid="ignore"):
         ranges = table[:, 1] * np.cos(table[:, 3])  # in the plane
         labels = np.where(table[:, 0] >= 0.0, table[:, 0], -1.0)
-    if not (table[:, 0] < _LARGEST).all():  # nan is not, either
-        raise MessageError("an id is not a number of a landmark")
+    if not (table[:, 0] < _MAX_ID).all():  # false for NaN, too
+        raise MessageError("an id is not a landmark number")
     return Detections(stamp, ranges, table[:, 2], labels.astype(np.int64), np.full(n, np.nan))
 
 
-_LARGEST = 2.0**53  # beyond it float64 skips whole numbers
+_MAX_ID = 2.0**53  # beyond it, float64 cannot represent all integers

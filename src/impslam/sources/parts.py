@@ -1,4 +1,4 @@
-"""Parts of a log: the rows of its streams, with their places in it, made into batches of any size."""
+"""Parts of a log: rows of its streams with their places in the log, split into batches of any size."""
 
 from __future__ import annotations
 
@@ -12,10 +12,9 @@ from impslam.types import Array, Ints, Mask, Message
 
 
 class Located(NamedTuple):
-    """A message and where it stands in the log: its stream, and a line or message number.
+    """A message with its stream and its place in the log, a line or message number.
 
-    Messages of one record share its stamp; all but one of them are not `checked`, so that the stamp
-    is checked once.
+    Messages of one record share its stamp; only one of them is `checked`, so that it is checked once.
     """
 
     message: Message
@@ -25,13 +24,13 @@ class Located(NamedTuple):
 
 
 class Piece(NamedTuple):
-    """Rows of one stream and where they stand in the log.
+    """Rows of one stream with their places in the log.
 
     Attributes
     ----------
     columns : m rows
-    places : (m,) line or message number of each, for whoever explains what is wrong with it
-    checked : (m,) whether its stamp is to be checked
+    places : (m,) line or message number of each, for reports of problems
+    checked : (m,) whether to check its stamp
     """
 
     columns: Columns
@@ -40,7 +39,7 @@ class Piece(NamedTuple):
 
     @staticmethod
     def of(columns: Columns, places: Ints, checked: bool = True) -> Piece:
-        """Return rows that are all checked, or none of them."""
+        """Return a piece whose rows are all checked, or none."""
         return Piece(columns, places, np.full(len(columns), checked))
 
 
@@ -59,29 +58,29 @@ def single(located: Located, order: int) -> Piece:
 
 
 def gather(messages: Iterable[Located], rows: int) -> Iterator[list[Piece]]:
-    """Gather messages into pieces, one a stream, of at most `rows` rows together."""
+    """Gather messages into parts of at most `rows` rows, with a piece per stream."""
     located: dict[str, list[tuple[int, bool]]] = {}
 
-    def noted() -> Iterator[tuple[str, Message]]:
+    def with_stream() -> Iterator[tuple[str, Message]]:
         for message, place, stream, checked in messages:
             located.setdefault(stream, []).append((place, checked))
             yield stream, message
 
-    for gathered in batches(noted(), rows):
+    for batch in batches(with_stream(), rows):
         part = []
-        for stream, columns in gathered.items():
-            known = located[stream]
-            places = np.array(known[: len(columns)], np.int64)  # the one read ahead stays
-            del known[: len(columns)]
+        for stream, columns in batch.items():
+            pending = located[stream]
+            places = np.array(pending[: len(columns)], np.int64)  # except a message read ahead
+            del pending[: len(columns)]
             part.append(Piece(columns, places[:, 0], places[:, 1] > 0))
         yield part
 
 
-def turns(*stamps: Array) -> list[Ints]:
-    """Return the places in the log of the rows of streams that come in files of their own.
+def merge_order(*stamps: Array) -> list[Ints]:
+    """Return the order of the rows of streams in separate files, merged by their stamps.
 
-    Rows are not sorted within a stream, as stamps may run backwards there: the stamps say which
-    stream's turn it is, the first one's where they are equal (what `heapq.merge` does).
+    Rows are not sorted within a stream, where stamps may go backwards; at equal stamps the first stream
+    comes first, as with `heapq.merge`.
     """
     keys = np.concatenate([np.maximum.accumulate(each) for each in stamps])
     which = np.concatenate([np.full(len(each), i) for i, each in enumerate(stamps)])
@@ -90,10 +89,10 @@ def turns(*stamps: Array) -> list[Ints]:
     return np.split(order, np.cumsum([len(each) for each in stamps])[:-1])
 
 
-def cut(parts: Sequence[Columns], rows: int) -> Iterator[Batch]:
-    """Yield rows, given in any number of columns, in the order of the log.
+def to_batches(parts: Sequence[Columns], rows: int) -> Iterator[Batch]:
+    """Yield the rows of any number of columns as batches, in the order of the log.
 
-    A batch has at most `rows` rows, and ends early where a stream's layout changes.
+    A batch has at most `rows` rows, and ends early if a stream's layout changes.
     """
     streams: dict[str, list[Columns]] = {}
     for columns in parts:
@@ -103,38 +102,38 @@ def cut(parts: Sequence[Columns], rows: int) -> Iterator[Batch]:
     if len(streams) == len(parts) and sum(map(len, parts)) <= rows:
         yield {columns.stream: columns for columns in parts}
         return
-    stretches = [_runs(many) for many in streams.values()]
-    runs = [run for several in stretches for run in several]
+    runs_by_stream = [_runs(columns) for columns in streams.values()]
+    runs = [run for of_stream in runs_by_stream for run in of_stream]
     order = np.sort(np.concatenate([run.order for run in runs]))
-    changes = [run.order[0] for several in stretches for run in several[1:]]
+    changes = [run.order[0] for of_stream in runs_by_stream for run in of_stream[1:]]
     begins = np.union1d(order[::rows], np.array(changes, np.int64))
     found: list[dict[str, Columns]] = [{} for _ in begins]
     for run in runs:
         which = np.searchsorted(begins, run.order, "right") - 1
-        for place in _stretches(which):
-            found[which[place.start]][run.stream] = run.take(place)
+        for part in _constant_slices(which):
+            found[which[part.start]][run.stream] = run.take(part)
     yield from found
 
 
-def _runs(many: Sequence[Columns]) -> list[Columns]:
-    """Join columns of one stream: one for each stretch of the log in which the layout is the same."""
-    if len(many) == 1:
-        return list(many)
-    alike: list[list[Columns]] = []
-    for columns in many:
-        known = next((group for group in alike if same_layout(group[0], columns)), None)
+def _runs(parts: Sequence[Columns]) -> list[Columns]:
+    """Join columns of one stream into one for each run of rows with equal layout."""
+    if len(parts) == 1:
+        return list(parts)
+    groups: list[list[Columns]] = []
+    for columns in parts:
+        known = next((group for group in groups if same_layout(group[0], columns)), None)
         if known is None:
-            alike.append([columns])
+            groups.append([columns])
         else:
             known.append(columns)
-    joined = [_join(group) for group in alike]
+    joined = [_join(group) for group in groups]
     order = np.concatenate([columns.order for columns in joined])
     layouts = np.concatenate([np.full(len(c), i) for i, c in enumerate(joined)])
     layouts = layouts[np.argsort(order)]
     taken = [0] * len(joined)
     runs = []
-    for place in _stretches(layouts):
-        k, n = layouts[place.start], place.stop - place.start
+    for part in _constant_slices(layouts):
+        k, n = layouts[part.start], part.stop - part.start
         runs.append(joined[k].take(slice(taken[k], taken[k] + n)))
         taken[k] += n
     return runs
@@ -152,7 +151,7 @@ def _join(group: Sequence[Columns]) -> Columns:
     return joined.take(np.argsort(order))
 
 
-def _stretches(which: Ints) -> list[slice]:
-    """Return where an array (m,) keeps its value, stretch by stretch."""
+def _constant_slices(which: Ints) -> list[slice]:
+    """Return the slices in which an array (m,) is constant."""
     begins = [0, *(np.flatnonzero(np.diff(which)) + 1).tolist()]
     return [slice(a, b) for a, b in zip(begins, [*begins[1:], len(which)], strict=True)]

@@ -1,4 +1,4 @@
-"""Writing messages to one MCAP file that ROS 2 tools and the rosbag source read."""
+"""Writes messages to an MCAP file that ROS 2 tools and the rosbag source can read."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from impslam.types import Message
 
 
 class McapWriter(McapFile):
-    """Writes messages, in the order given, to an MCAP file (profile ros2, CDR, zstd chunks).
+    """Writes messages, in the given order, to an MCAP file (profile ros2, CDR, zstd chunks).
 
-    The file appears when the writer is closed without an error; the same messages give the same
-    bytes. Ranges, angles and beam times are stored in single precision, as ROS has them. Encoder
-    readings go into JointState positions in their own unit; the preset says which that is.
+    The file appears when the writer is closed without an error; equal messages give equal bytes. Ranges,
+    angles and beam times are stored in single precision, as in ROS. Encoder readings are stored as
+    JointState positions in their own unit, which the preset defines.
 
     Parameters
     ----------
@@ -33,16 +33,16 @@ class McapWriter(McapFile):
     def write(self, message: Message, log_stamp: float | None = None, below: str = "") -> None:
         """Append a message, logged at `log_stamp` (s, default its own stamp) or later.
 
-        Readers order by the time of logging; it never runs backwards here, so that the order is
-        that of writing even where the stamps of messages run backwards. `below` is appended to the
-        topic, for the second device of a kind.
+        Readers sort by the log time; it never goes backwards here, so that they keep the order of writing
+        even if the stamps of messages go backwards. `below` is appended to the topic, for the second
+        device of a kind.
 
         Raises
         ------
         MessageError
-            If the message cannot be said in ROS (beams not equally spaced, stamps before 1970).
+            If ROS cannot represent the message (beams not equally spaced, stamps before 1970).
         """
-        records = list(encode(message))  # all or none of them
+        records = list(encode(message))  # first, so that all or none are written
         stamp = nanoseconds(message.stamp if log_stamp is None else log_stamp)
         self._clock = max(self._clock, stamp)
         self._write_preset()

@@ -1,8 +1,8 @@
-"""The rosbags reader of ROS 1 bags, within limits, and for bags that lack their index.
+"""The ROS 1 bag reader of rosbags with size limits, and with support for bags without an index.
 
-The index of a bag is written when it is closed. A bag whose recorder was stopped by force
-(`.bag.active`), or that was cut, is a row of whole chunks; the last one may be open, with a length that
-is still 0 (wiki.ros.org/Bags/Format/2.0).
+The index is written when a bag is closed. A bag whose recorder was killed (`.bag.active`), or that was
+truncated, is a sequence of complete chunks; the last one may be open, with a length that is still 0
+(wiki.ros.org/Bags/Format/2.0).
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ _BOUNDED: dict[Callable[[bytes], bytes], Callable[[bytes], bytes]] = {
 
 
 class BoundedReader1(rosbag1.Reader):
-    """A ROS 1 bag, its chunks unpacked within limits; without an index, it is read from the front."""
+    """A ROS 1 bag with a size limit for chunks; a bag without an index is scanned."""
 
     is_cut = False
 
     def open(self) -> None:
-        """Open the bag and read its index, or make one."""
+        """Open the bag and read its index, or create one."""
         try:
             super().open()
         except (ReaderError, AssertionError) as error:
@@ -57,7 +57,7 @@ class BoundedReader1(rosbag1.Reader):
         return chunk._replace(decompressor=_BOUNDED.get(chunk.decompressor, chunk.decompressor))
 
     def _scan(self) -> None:
-        """Make the index from all whole chunks."""
+        """Create the index from all complete chunks."""
         file = self.bio
         assert file is not None
         size = file.seek(0, 2)
@@ -72,13 +72,13 @@ class BoundedReader1(rosbag1.Reader):
                 is_chunk, place = op == RecordType.CHUNK, file.seek(end)
                 end = self._scan_chunk(file, place, indexes) if is_chunk else _following(file)
             except (ReaderError, ValueError):
-                break  # cut within a record, or what is behind the end may be anything
+                break  # truncated within a record, or arbitrary data after the end
         self.indexes = {c.id: sorted(indexes.get(c.id, [])) for c in self.connections}
         counted = [c._replace(msgcount=len(self.indexes[c.id])) for c in self.connections]
         self.connections = counted
 
     def _scan_chunk(self, file: BinaryIO, place: int, indexes: dict[int, list[IndexData]]) -> int:
-        """Enter the messages of the chunk at some place in the file; return where it ends."""
+        """Index the messages of the chunk at an offset in the file; return the offset of its end."""
         chunk = self.read_chunk()
         file.seek(chunk.datapos)
         data = file.read(chunk.datasize or UNIT_LIMIT)
@@ -88,7 +88,7 @@ class BoundedReader1(rosbag1.Reader):
         try:
             self.bio = BytesIO(chunk.decompressor(data))
             whole = self._scan_records(self.bio, place, indexes)
-        except (EOFError, OSError, RuntimeError):  # a damaged chunk between whole ones
+        except (EOFError, OSError, RuntimeError):  # a damaged chunk between complete ones
             whole = 0
         finally:
             self.bio = file
@@ -98,7 +98,7 @@ class BoundedReader1(rosbag1.Reader):
     def _scan_records(
         self, records: BytesIO, chunk: int, indexes: dict[int, list[IndexData]]
     ) -> int:
-        """Enter the records of an unpacked chunk; return the length of the whole ones."""
+        """Index the records of an unpacked chunk; return the length of the complete ones."""
         known, size, at = {c.id for c in self.connections}, len(records.getbuffer()), 0
         while at < size:
             records.seek(at)
@@ -122,7 +122,7 @@ class BoundedReader1(rosbag1.Reader):
 
 
 def _following(file: BinaryIO) -> int:
-    """Return where the record ends that begins here."""
+    """Return the offset of the end of the record at the current offset."""
     Header.read(file)
     size = read_uint32(file)
     return file.tell() + size

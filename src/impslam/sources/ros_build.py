@@ -1,4 +1,4 @@
-"""What messages of ROS 2 are built of: times, headers, vectors, poses, and names of topics."""
+"""Builds parts of ROS 2 messages: times, headers, vectors, poses, and topic names."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from impslam.sources.ros_messages import NANOSECONDS
 from impslam.sources.ros_storage import RosMessage
 from impslam.types import Array
 
-TYPES = get_typestore(Stores.ROS2_HUMBLE)  # the oldest release in support, whose types last
+TYPES = get_typestore(Stores.ROS2_HUMBLE)  # the oldest supported release, for compatibility
 
 
 def new(kind: str, *values: Any) -> RosMessage:
-    """Return a message of this type with these fields."""
+    """Return a message of a type with the given fields."""
     return TYPES.types[kind](*values)
 
 
 def nanoseconds(stamp: float) -> int:
-    """Return s as ns; `MessageError` outside the range of ROS, 1970 to 2038."""
+    """Convert s to ns; raise `MessageError` outside the range of ROS, 1970 to 2038."""
     if not 0.0 <= stamp < 2.0**31:
         raise MessageError(f"a stamp of {stamp} s does not fit ROS; it must be in 0 to 2^31 s")
     whole = math.floor(stamp)
@@ -31,7 +31,7 @@ def nanoseconds(stamp: float) -> int:
 
 
 def time_of(stamp: float) -> RosMessage:
-    """Return s as a time of ROS."""
+    """Return a stamp in s as a ROS time."""
     return new("builtin_interfaces/msg/Time", *divmod(nanoseconds(stamp), NANOSECONDS))
 
 
@@ -41,7 +41,7 @@ def header_of(stamp: float, frame: str) -> RosMessage:
 
 
 def xyz(kind: str, values: Array) -> RosMessage:
-    """Return numbers as a message of geometry_msgs whose fields they are: x, y, z (and w)."""
+    """Return a geometry_msgs message with the fields x, y, z (and w)."""
     return new(f"geometry_msgs/msg/{kind}", *map(float, values))
 
 
@@ -59,6 +59,6 @@ def turn(theta: float) -> RosMessage:
 
 
 def topic_name(text: str) -> str:
-    """Return a text as a part of a ROS topic: letters, digits and _, not beginning with a digit."""
+    """Return a text as part of a ROS topic name: letters, digits and _, not starting with a digit."""
     name = re.sub(r"[^A-Za-z0-9]+", "_", text).strip("_")
     return name if name and not name[0].isdigit() else f"_{name}"

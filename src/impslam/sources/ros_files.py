@@ -1,4 +1,4 @@
-"""The readers of rosbags for ROS 2 bags, within limits: folders of files, with metadata.yaml or without."""
+"""The ROS 2 bag readers of rosbags with size limits: folders of files, with or without metadata.yaml."""
 
 from __future__ import annotations
 
@@ -21,30 +21,30 @@ from impslam.sources.unpack import UNIT_LIMIT, check_unpacked, unpack_zstd
 
 
 class PlainSqlite3Reader(Sqlite3Reader):
-    """An SQLite file that holds what it gives: nothing is computed while it is read."""
+    """An SQLite file of plain tables: views, triggers and computed columns are rejected."""
 
     def _open(self) -> None:
         assert self.dbconn is not None
         self.dbconn.limit(_SQLITE_LIMIT_LENGTH, UNIT_LIMIT)
-        if strange := next(self.dbconn.execute(_COMPUTED), None):
-            raise ReaderError(f"{strange[0]!r} is computed, not recorded.")
+        if computed := next(self.dbconn.execute(_COMPUTED), None):
+            raise ReaderError(f"{computed[0]!r} is computed, not recorded.")
         super()._open()
 
 
-_SQLITE_LIMIT_LENGTH = 0  # of a text or a blob
+_SQLITE_LIMIT_LENGTH = 0  # id of the limit on the length of a text or a blob
 _COMPUTED = """
     SELECT m.name FROM sqlite_master m LEFT JOIN pragma_table_xinfo(m.name) c
     WHERE m.type NOT IN ('table', 'index') OR m.sql LIKE 'CREATE VIRTUAL%' OR c.hidden LIMIT 1"""
 
 
 class BagFolder(DirectoryReader):
-    """A ROS 2 bag: a folder of files of one kind, as its metadata.yaml tells."""
+    """A ROS 2 bag: a folder of files of one kind, listed in its metadata.yaml."""
 
     is_cut = False
     STORAGE_PLUGINS = {"mcap": CutMcapReader, "sqlite3": PlainSqlite3Reader}  # noqa: RUF012
 
     def open(self) -> None:
-        """Open the files; those that are compressed are unpacked into a temporary folder first."""
+        """Open the files; compressed ones are first unpacked to a temporary folder."""
         for path in Path(str(self.path)).iterdir():
             if path.exists() and not (path.is_file() or path.is_dir()):
                 raise ReaderError(f"{path.name!r} is neither a file nor a folder.")
@@ -67,7 +67,7 @@ class BagFolder(DirectoryReader):
 
 
 class UnlistedFolder(BagFolder):
-    """A ROS 2 bag whose recorder was stopped by force before it wrote metadata.yaml."""
+    """A ROS 2 bag whose recorder was killed before it wrote metadata.yaml."""
 
     is_cut = True
 
@@ -79,7 +79,7 @@ class UnlistedFolder(BagFolder):
 
     @staticmethod
     def pieces(path: Path) -> list[Path]:
-        """Return the files of a bag by their numbers, NAME_0, NAME_1, ...; none if it holds others."""
+        """Return the files of a bag in order, NAME_0, NAME_1, ...; none if there are others."""
         found = [file for suffix in _PIECES for file in path.glob(f"*{suffix}") if file.is_file()]
         names = {file: re.fullmatch(r"(.+)_(\d+)", file.stem) for file in found}
         numbers = {file: (name[1], int(name[2])) for file, name in names.items() if name}

@@ -1,6 +1,6 @@
-"""What the transforms of a ROS log (TF) tell: where lasers are mounted, and which one is odometry.
+"""Finds the mounts of lasers, and odometry, in the transforms (TF) of a ROS log.
 
-REP 105 names the frames: odometry is the pose of base_footprint or base_link in odom.
+The names of frames follow REP 105: odometry is the pose of base_footprint or base_link in odom.
 """
 
 from __future__ import annotations
@@ -25,40 +25,40 @@ from impslam.types import Array
 STATIC = "tf_static"
 BASES = ("base_footprint", "base_link", "base")
 WORLDS = ("map", "world", "earth")
-FARTHEST = 100.0  # m from base to a laser; on no robot it is as far
+MAX_MOUNT_DISTANCE = 100.0  # m from base to a laser, more than on any robot
 LOOK_AHEAD = 30 * 10**9
-"""ns of the log after its first scan, in which each transform of a robot is published many times."""
+"""Time after the first scan, ns, in which each transform of a robot is published many times."""
 
 
 class Edge(NamedTuple):
-    """A transform of a topic, by the names of its frames as they are written there."""
+    """A transform of a topic, with the frame names as written there."""
 
     topic: str
     parent: str
     child: str
 
     def pick(self, message: RosMessage) -> RosMessage | None:
-        """Return this transform from a message, the newest if there are several, or None."""
+        """Return this transform from a message, the last if there are several, or None."""
         index = self.find(message)
         return None if index is None else message.transforms[index]
 
     def find(self, message: RosMessage) -> int | None:
-        """Return the index of this transform in a message."""
+        """Return the index of this transform in a message, or None."""
         names = [(t.header.frame_id, t.child_frame_id) for t in message.transforms]
         found = [k for k, name in enumerate(names) if name == self[1:]]
         return found[-1] if found else None
 
     def is_in(self, data: bytes) -> bool:
-        """Tell whether a serialised message names both frames; if so, it may hold the transform."""
+        """Return whether a serialised message contains both frame names, and so maybe the transform."""
         return self.parent.encode() in data and self.child.encode() in data
 
 
 class Frames:
-    """The frames of a log, as they are at its first scan.
+    """The frames of a log at its first scan.
 
     Attributes
     ----------
-    lasers, receivers : frame of each topic of scans, and of fixes of a GNSS receiver
+    lasers, receivers : frame of each topic of scans, and of each topic of GNSS fixes
     """
 
     def __init__(self, path: Path, bag: Bag, problems: Problems) -> None:
@@ -94,7 +94,7 @@ class Frames:
             self._learn(connection.topic, message, time <= begin)
 
     def _read_scans(self, bag: Bag) -> int:
-        """Learn the frames of the scans; return the time in ns at which the first one was logged."""
+        """Read the frames of the scans; return the log time of the first scan, ns."""
         times = []
         for connection in bag.connections:
             if connection.msgtype in TYPES["scan"]:
@@ -104,7 +104,7 @@ class Frames:
         return min(times, default=0)
 
     def _learn(self, topic: str, message: RosMessage, is_before: bool) -> None:
-        """Enter the transforms of a message: of each, the last one before the first scan counts."""
+        """Add the transforms of a message; of each, the last one before the first scan counts."""
         for transform in message.transforms:
             parent, child = _plain(transform.header.frame_id), _plain(transform.child_frame_id)
             self._edges[Edge(topic, transform.header.frame_id, transform.child_frame_id)] = None
@@ -114,7 +114,7 @@ class Frames:
                 link = Link(parent, child, read_transform(transform))
             except MessageError as error:
                 self._bad.setdefault(
-                    child, f"the transform {parent} -> {child} is not one: {error}"
+                    child, f"the transform {parent} -> {child} is not valid: {error}"
                 )
                 continue
             if self._tree.add(link):
@@ -123,26 +123,26 @@ class Frames:
                 self._problems.add(
                     "frame with two parents",
                     f"{self._path}: {topic}: {child} has another parent than {parent}; the first "
-                    "one counts: let one program alone publish where it is",
+                    "one is used: let only one program publish its transform",
                 )
 
     def _is_complete(self) -> bool:
-        """Tell whether the mounts of all scans are known, and odometry if it must come from here."""
+        """Return whether the mounts of all lasers are known, and odometry if no topic contains it."""
         known = all(self._base(frame) for frame in self.lasers.values())
         return known and bool(self._children or all(map(self.odometry, self.lasers)))
 
     def odometry(self, scan: str) -> Edge | None:
-        """Return the transform from odom to what is above the laser of a topic, or else to base."""
+        """Return the transform from odom to an ancestor of a topic's laser frame, or else to base."""
         found = [
             edge
             for edge in self._edges
             if "odom" in _last(edge.parent) and not edge.topic.endswith(STATIC)
         ]
-        above = {frame := self.lasers.get(scan, "")}
+        ancestors = {frame := self.lasers.get(scan, "")}
         with suppress(MessageError):
-            above |= {link.parent for link in self._tree.up(frame)}
+            ancestors |= {link.parent for link in self._tree.up(frame)}
         ranked = [
-            (_plain(e.child) not in above, _last(e.child) not in BASES, k)
+            (_plain(e.child) not in ancestors, _last(e.child) not in BASES, k)
             for k, e in enumerate(found)
         ]
         best = min(ranked, default=None)
@@ -153,7 +153,7 @@ class Frames:
     def mounts(self, odometry: str, edge: Edge | None) -> dict[str, Mount]:
         """Return the mount of the laser of each topic of scans.
 
-        The child frame of odometry is base; `odometry` is its topic, `edge` the transform that may be it.
+        base is the child frame of odometry, which is the topic `odometry` or its transform `edge`.
         """
         return self._mounts_of(self.lasers, odometry, edge)
 
@@ -170,12 +170,12 @@ class Frames:
         return {topic: self._mount(frame, base) for topic, frame in frames.items()}
 
     def watch(self, mounts: Mapping[str, Mount], topics: Collection[str]) -> MountWatch:
-        """Return what tells when the mount of one of these topics of scans changes."""
+        """Return a watch of the mounts of these topics of scans."""
         known = {topic: mounts[topic].base for topic in topics if mounts[topic].pose is not None}
         return MountWatch(self._tree, {t: (base, self.lasers[t]) for t, base in known.items()})
 
     def publishers(self, bag: Bag, frames: Collection[str]) -> list[Connection]:
-        """Return what publishes where some frames are, and all that is said to be static."""
+        """Return the connections that publish some frames, including all static ones."""
         topics = {self._sources[frame] for frame in frames}
         found = [c for c in bag.connections if c.msgtype in TF_TYPES]
         return [c for c in found if topics and (c.topic in topics or _is_static(c))]
@@ -185,30 +185,30 @@ class Frames:
             base = self._base(frame, base)
             if not base:
                 return Mount(None, origin=self._unknown(frame))
-            T, links = self._way(base, frame)
+            T, links = self._chain(base, frame)
         except MessageError as error:
             return Mount(None, origin=str(error))
-        if not np.abs(T).max() < FARTHEST:
-            return Mount(None, origin=f"the transforms put {frame} far away from {base}")
+        if not np.abs(T).max() < MAX_MOUNT_DISTANCE:
+            return Mount(None, origin=f"according to the transforms, {frame} is far from {base}")
         planar = flattened(T)
         topics = ", ".join(dict.fromkeys(self._sources[link.child] for link in links))
         origin = f"{topics + ': ' if topics else ''}{base} -> {frame}"
         return Mount(planar.pose, planar.upside_down, planar.tilt, origin, base)
 
-    def _way(self, base: str, frame: str) -> tuple[Array, list[Link]]:
-        """Return `T_base_frame` and its links; `MessageError` if they lead off the robot, or nowhere."""
+    def _chain(self, base: str, frame: str) -> tuple[Array, list[Link]]:
+        """Return `T_base_frame` and its links; raise `MessageError` if there is none on the robot."""
         with np.errstate(all="ignore"):  # a damaged log may have links of 1e300 m
-            T, links = self._tree.way(base, frame)
+            T, links = self._tree.chain(base, frame)
         if any("odom" in _last(link.parent) or _last(link.parent) in WORLDS for link in links):
-            raise MessageError(f"{base} and {frame} are not on one robot")
+            raise MessageError(f"{base} and {frame} are not on the same robot")
         return T, links
 
     def _base(self, frame: str, base: str = "") -> str:
-        """Return base: the one given if it is related to a laser, or else the one above it by name."""
-        for wanted in (base, *self._named(BASES)):
+        """Return the given base if it is linked to a frame, or else a linked frame with a base's name."""
+        for candidate in (base, *self._named(BASES)):
             with suppress(MessageError):
-                if wanted and (wanted == frame or self._way(wanted, frame)):
-                    return wanted
+                if candidate and (candidate == frame or self._chain(candidate, frame)):
+                    return candidate
         return ""
 
     def _named(self, names: Sequence[str]) -> list[str]:
@@ -218,22 +218,22 @@ class Frames:
         return [frame for name in names for frame in known if _last(frame) == name]
 
     def _unknown(self, frame: str) -> str:
-        """Return why the mount of a laser is not known."""
-        links = self._tree.up(frame)  # raises where they form a loop
+        """Return why the mount of a laser is unknown."""
+        links = self._tree.up(frame)  # raises if they form a loop
         top = links[-1].parent if links else frame
         if top in self._bad:
             return self._bad[top]
         bases = self._named(BASES)
         if not frame:
-            return "its messages name no frame"
+            return "its messages have no frame"
         if not links:
-            return f"no transform tells where {frame} is"
+            return f"there is no transform to {frame}"
         return f"{frame} leads up to {top}, not to {bases[0] if bases else 'base_link'}"
 
 
 def links(decode: Callable[[bytes], RosMessage], data: bytes) -> Iterator[Link]:
-    """Yield the sound links of a serialised message."""
-    with suppress(Exception):  # rosbags raises anything on damaged data
+    """Yield the valid links of a serialised message."""
+    with suppress(Exception):  # rosbags may raise anything on damaged data
         for transform in decode(data).transforms:
             with suppress(MessageError):
                 parent, child = _plain(transform.header.frame_id), _plain(transform.child_frame_id)
@@ -245,7 +245,7 @@ def _is_static(connection: Connection) -> bool:
 
 
 def first_message(bag: Bag, connection: Connection) -> Iterator[tuple[RosMessage, int]]:
-    """Yield the first message of a connection and its time of logging; none if it cannot be read."""
+    """Yield the first message of a connection and its log time; nothing if it cannot be read."""
     for _, time, message in _decoded(bag, [connection]):
         yield message, time
         return
@@ -254,9 +254,9 @@ def first_message(bag: Bag, connection: Connection) -> Iterator[tuple[RosMessage
 def _decoded(
     bag: Bag, connections: Sequence[Connection]
 ) -> Iterator[tuple[Connection, int, RosMessage]]:
-    """Yield the messages that can be read; the run tells of the others."""
+    """Yield the messages that can be read; the run reports the others."""
     records = bag.messages(connections) if connections else iter(())
-    with suppress(Exception):  # rosbags raises anything on damaged data
+    with suppress(Exception):  # rosbags may raise anything on damaged data
         for connection, time, data in records:
             message = None
             with suppress(Exception):
@@ -266,7 +266,7 @@ def _decoded(
 
 
 def _plain(frame: str) -> str:
-    """Return the name of a frame without the slash that tf of ROS 1 put before it."""
+    """Return the name of a frame without the leading slash of tf in ROS 1."""
     return frame.lstrip("/")
 
 

@@ -1,7 +1,7 @@
-"""ROS messages as values of this package, and back.
+"""Converts ROS messages to messages of this package.
 
-Fields are those of sensor_msgs and nav_msgs, the same in ROS 1 and 2; conventions are those of
-REP 103, and of `sensor_msgs/Imu` for what is unknown (first covariance entry -1).
+The fields are those of sensor_msgs and nav_msgs, which are the same in ROS 1 and 2, with the conventions
+of REP 103, and of `sensor_msgs/Imu` for unknown values (first covariance entry -1).
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 
 from impslam.errors import MessageError
 from impslam.sources.ros_storage import RosMessage
-from impslam.sources.text import beam_angles, beam_times, finite
+from impslam.sources.text import beam_angles, beam_times, check_finite
 from impslam.sources.transforms import rigid
 from impslam.types import (
     Array,
@@ -34,7 +34,7 @@ LEFT, RIGHT = "left_wheel_joint", "right_wheel_joint"
 
 
 def seconds(nanoseconds: int) -> float:
-    """Return ns as s, correctly rounded (dividing integers is, multiplying by 1e-9 is not)."""
+    """Convert ns to s, correctly rounded (unlike a product with 1e-9)."""
     return nanoseconds / NANOSECONDS
 
 
@@ -45,30 +45,30 @@ def header_stamp(message: RosMessage) -> int:
 
 
 def read_scan(message: RosMessage, stamp: float) -> LaserScan:
-    """Read a `sensor_msgs/LaserScan`, or a `MultiEchoLaserScan` with the first echo of each beam."""
+    """Read a `sensor_msgs/LaserScan`, or the first echoes of a `MultiEchoLaserScan`."""
     if "Echo" in message.__msgtype__:
         return _scan(message, stamp, _first_echoes(message.ranges), None)
-    bright = message.intensities if len(message.intensities) == len(message.ranges) else None
-    return _scan(message, stamp, message.ranges, bright)
+    intensities = message.intensities if len(message.intensities) == len(message.ranges) else None
+    return _scan(message, stamp, message.ranges, intensities)
 
 
 def _first_echoes(beams: Sequence[RosMessage]) -> Array:
-    """Return the nearest echo of each beam: what stands behind it was seen through an edge or glass."""
+    """Return the nearest echo of each beam; later ones are from behind an edge or glass."""
     return np.array([beam.echoes[0] if len(beam.echoes) else math.inf for beam in beams])
 
 
-def _scan(message: RosMessage, stamp: float, ranges: Any, bright: Any) -> LaserScan:
+def _scan(message: RosMessage, stamp: float, ranges: Any, intensities: Any) -> LaserScan:
     start, step = float(message.angle_min), float(message.angle_increment)
     n, wait = len(ranges), float(message.time_increment)
-    finite("angle_min, angle_increment or time_increment", start, step, wait)
+    check_finite("angle_min, angle_increment or time_increment", start, step, wait)
     if n == 0:
         raise MessageError("the scan has no ranges")
     low, high = float(message.range_min), float(message.range_max)
     if low == high == 0.0:  # unset
         low = high = math.nan
     angles, times = beam_angles(n, start, step), beam_times(n, wait)
-    bright = None if bright is None else _float64(bright)
-    return LaserScan(stamp, angles, _float64(ranges), times, low, high, bright)
+    intensities = None if intensities is None else _float64(intensities)
+    return LaserScan(stamp, angles, _float64(ranges), times, low, high, intensities)
 
 
 def read_imu(message: RosMessage, stamp: float) -> Imu:
@@ -80,23 +80,23 @@ def read_imu(message: RosMessage, stamp: float) -> Imu:
 
 
 def read_voltages(message: RosMessage, stamp: float) -> WheelAngles:
-    """Read absolute encoders from a `geometry_msgs/Vector3Stamped`: x left, y right, V; they wrap."""
+    """Read absolute encoders (wrapping) from a `geometry_msgs/Vector3Stamped`: x left, y right, V."""
     left, right = _vector(message.vector, "xy").tolist()
     return WheelAngles(stamp, left, right)
 
 
 def read_fix(message: RosMessage, stamp: float) -> SatelliteFix:
-    """Read a `sensor_msgs/NavSatFix`; its covariance of type 0 is unknown, and so is one of zeros."""
+    """Read a `sensor_msgs/NavSatFix`; a covariance of type 0 or of zeros counts as unknown."""
     known = int(message.position_covariance_type) > 0
-    told = np.asarray(message.position_covariance, np.float64).reshape(3, 3)
-    covariance = told if known and (np.diag(told) > 0.0).all() else np.full((3, 3), math.nan)
+    given = np.asarray(message.position_covariance, np.float64).reshape(3, 3)
+    covariance = given if known and (np.diag(given) > 0.0).all() else np.full((3, 3), math.nan)
     status = int(message.status.status)
     place = (float(message.latitude), float(message.longitude), float(message.altitude))
     return SatelliteFix(stamp, *place, covariance.copy(), status)
 
 
 def read_odometry(message: RosMessage, stamp: float) -> OdometryPose:
-    """Read the pose of a `nav_msgs/Odometry`, or that of base in odom: a `TransformStamped`."""
+    """Read the pose of a `nav_msgs/Odometry`, or of base in odom from a `TransformStamped`."""
     if "Transform" in message.__msgtype__:
         read_transform(message)
         pose = message.transform
@@ -105,7 +105,7 @@ def read_odometry(message: RosMessage, stamp: float) -> OdometryPose:
 
 
 def read_truth(message: RosMessage, stamp: float) -> TruePose:
-    """Read the pose of a `nav_msgs/Odometry` that a simulator or tracking system wrote."""
+    """Read the pose of a `nav_msgs/Odometry` written by a simulator or a tracking system."""
     return TruePose(stamp, _planar(message.pose.pose.position, message.pose.pose.orientation))
 
 
@@ -115,7 +115,7 @@ def read_transform(message: RosMessage) -> Array:
     Raises
     ------
     MessageError
-        If it is not one; see `rigid`.
+        If it is not valid; see `rigid`.
     """
     turn = message.transform.rotation
     quaternion = np.array([turn.x, turn.y, turn.z, turn.w])
@@ -124,19 +124,19 @@ def read_transform(message: RosMessage) -> Array:
 
 
 def read_image(message: RosMessage, stamp: float) -> Image:
-    """Read a `sensor_msgs/CompressedImage`, whose format may say more than jpeg or png."""
-    said = str(message.format).lower()
+    """Read a `sensor_msgs/CompressedImage`; its format may contain more than jpeg or png."""
+    text = str(message.format).lower()
     for name, forms in (("jpeg", ("jpeg", "jpg")), ("png", ("png",))):
-        if any(form in said for form in forms):
+        if any(form in text for form in forms):
             return Image(stamp, name, bytes(message.data))
-    raise MessageError(f"image format {said!r} is neither jpeg nor png")
+    raise MessageError(f"image format {text!r} is neither jpeg nor png")
 
 
 def find_joints(names: Sequence[str], left: str, right: str) -> Joints | None:
     """Return the indices of the left and the right wheel, or None.
 
-    Without exact names: the first name, by alphabet, with "left" ("right") in it, those with
-    "wheel" before others.
+    Without exact names, take the first name in alphabetical order that contains "left" ("right"), with
+    preference for names that contain "wheel".
     """
     found = (_joint(names, left, "left"), _joint(names, right, "right"))
     return None if None in found else (found[0] or 0, found[1] or 0)
@@ -150,7 +150,7 @@ def _joint(names: Sequence[str], exact: str, side: str) -> int | None:
 
 
 def _planar(position: RosMessage, orientation: RosMessage) -> Array:
-    """Return [x, y, yaw]; the quaternion need not be of unit length."""
+    """Return [x, y, yaw]; the quaternion need not have unit length."""
     x, y, z, w = _vector(orientation, "xyzw")
     if math.hypot(x, y, z, w) < 1e-3:
         raise MessageError("the orientation is a zero quaternion")
@@ -160,7 +160,7 @@ def _planar(position: RosMessage, orientation: RosMessage) -> Array:
 
 def _vector(message: RosMessage, names: str = "xyz") -> Array:
     values = [float(getattr(message, name)) for name in names]
-    finite(f"{type(message).__name__.rsplit('__', 1)[-1]}", *values)
+    check_finite(f"{type(message).__name__.rsplit('__', 1)[-1]}", *values)
     return np.array(values)
 
 

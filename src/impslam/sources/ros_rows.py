@@ -1,4 +1,4 @@
-"""From the serialised messages of a ROS log to rows: those that lie alike at once, others one by one."""
+"""Converts serialised ROS messages to rows: those of equal layout as a table, others one by one."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from impslam.sources.ros_frames import Edge
 from impslam.sources.ros_storage import Bag, RosMessage, one_line
 from impslam.sources.ros_tables import TABLES, Rows, Values, stamps, transforms
 from impslam.sources.ros_topics import TF_TYPES, Use
-from impslam.sources.text import finite
+from impslam.sources.text import check_finite
 from impslam.types import Ints, Mask, Message, WheelAngles
 
 READERS: dict[Use, Callable[[RosMessage, float], Message]] = {
@@ -32,11 +32,11 @@ READERS: dict[Use, Callable[[RosMessage, float], Message]] = {
     "fix": ros.read_fix,
     "image": ros.read_image,
 }
-FEW = 4  # messages that are read one by one in the time that a table takes
+MIN_TABLE_ROWS = 4  # fewer messages are read faster one by one
 
 
 class Record(NamedTuple):
-    """A serialised message and its number among those in use."""
+    """A serialised message; `place` is its number among those in use."""
 
     place: int
     connection: Connection
@@ -45,16 +45,16 @@ class Record(NamedTuple):
 
 
 class RowReader:
-    """Turns records into rows.
+    """Converts records to rows.
 
     Parameters
     ----------
-    path : the log, for what is said of it
+    path : the log, for reports of problems
     bag : the open log
     uses : what the messages of each topic are used for
-    joints : names of the left and the right wheel, empty where they are to be found
-    odometry : the transform that is odometry, if one is
-    problems : takes what is wrong with messages
+    joints : names of the left and right wheel joints; empty to find them
+    odometry : the transform that is odometry, if any
+    problems : collects problems with messages
     """
 
     def __init__(
@@ -68,16 +68,16 @@ class RowReader:
     ) -> None:
         self._path, self._bag, self._uses, self._joints = path, bag, uses, joints
         self._odometry, self._problems = odometry, problems
-        self._begins_at_zero = any(map(self._is_of_simulator, bag.connections))
+        self._starts_at_zero = any(map(self._has_zero_start, bag.connections))
 
-    def _is_of_simulator(self, connection: Connection) -> bool:
-        """Tell whether stamps begin at 0: there is a clock, or only the first message is stamped 0."""
+    def _has_zero_start(self, connection: Connection) -> bool:
+        """Return whether stamps start at 0: there is a clock, or only the first stamp is 0."""
         if connection.topic == "/clock":
             return connection.msgcount > 0
         if self._uses.get(connection.topic) not in ("scan", "odometry"):
             return False
         found = []
-        with suppress(Exception):  # rosbags raises anything on damaged data
+        with suppress(Exception):  # rosbags may raise anything on damaged data
             for _, _, data in islice(self._bag.messages([connection]), 2):
                 message = self._bag.decoder(connection)(data)
                 if connection.msgtype in TF_TYPES:
@@ -88,25 +88,25 @@ class RowReader:
     def part(self, records: Sequence[Record]) -> list[Piece]:
         """Return the rows of some messages."""
         part = []
-        left = dict.fromkeys(record.place for record in records)
-        for group in _alike(records):
-            piece = self._at_once(group)
+        remaining = dict.fromkeys(record.place for record in records)
+        for group in _grouped(records):
+            piece = self._read_table(group)
             if piece is not None:
                 part.append(piece)
                 for place in piece.places.tolist():
-                    del left[place]
+                    del remaining[place]
         for record in records:
-            if record.place in left:
-                part += self._one(record)
+            if record.place in remaining:
+                part += self._read_one(record)
         return part
 
-    def _at_once(self, group: Sequence[Record]) -> Piece | None:
-        """Return the rows of messages on one topic that lie alike and are sound, if any are."""
+    def _read_table(self, group: Sequence[Record]) -> Piece | None:
+        """Return the rows of the valid messages of equal layout in a group, if there are any."""
         connection = group[0].connection
         kind = connection.msgtype
-        if len(group) < FEW or not (kind in TABLES or kind in TF_TYPES):
+        if len(group) < MIN_TABLE_ROWS or not (kind in TABLES or kind in TF_TYPES):
             return None
-        with suppress(Exception):  # what is not sound is explained one by one
+        with suppress(Exception):  # invalid messages are reported one by one
             rows = Rows([r.data for r in group], kind, self._bag.types, self._bag.is_ros1)
             values, good, nanoseconds = self._columns(rows, self._bag.decoder(connection), group[0])
             good &= rows.alike & (nanoseconds != 0)
@@ -126,22 +126,22 @@ class RowReader:
     def _columns(
         self, rows: Rows, decode: Callable[[bytes], RosMessage], first: Record
     ) -> tuple[Values, Mask, Ints]:
-        """Return columns, which of their rows are sound, and stamps in ns; raise if there are none."""
+        """Return columns, which of their rows are valid, and stamps in ns; raise if there are none."""
         kind, joints = first.connection.msgtype, None
         if kind in TF_TYPES:
             index = self._odometry.find(decode(first.data)) if self._odometry else None
-            above = f"transforms.{index}."
-            return *transforms(rows, above), rows.nanoseconds(above)
+            prefix = f"transforms.{index}."
+            return *transforms(rows, prefix), rows.nanoseconds(prefix)
         if self._uses[first.connection.topic] == "wheels":
             joints = ros.find_joints(decode(first.data).name, *self._joints)
         return *TABLES[kind](rows, joints), rows.nanoseconds()
 
-    def _one(self, record: Record) -> Iterator[Piece]:
-        """Yield the row of any message, or say what is wrong with it."""
+    def _read_one(self, record: Record) -> Iterator[Piece]:
+        """Yield the row of any message, or report a problem."""
         topic = record.connection.topic
         try:
             message = self._read(record)
-        except Exception as error:  # rosbags raises anything on damaged data
+        except Exception as error:  # rosbags may raise anything on damaged data
             self._problems.add(
                 f"malformed {self._uses[topic]} message",
                 f"{self._path}:{record.place}: {topic}: {one_line(error)}; the message is dropped",
@@ -151,7 +151,7 @@ class RowReader:
                 yield single(Located(message, record.place, topic), record.place)
 
     def _read(self, record: Record) -> Message | None:
-        """Return a record as a message; None if it holds other transforms than odometry."""
+        """Return a record as a message; None if it contains only transforms other than odometry."""
         topic = record.connection.topic
         message = self._bag.decoder(record.connection)(record.data)
         if record.connection.msgtype in TF_TYPES:
@@ -163,13 +163,13 @@ class RowReader:
         return self._wheels(message, stamp) if use == "wheels" else READERS[use](message, stamp)
 
     def _stamp(self, topic: str, message: RosMessage, log_time: int) -> int:
-        """Return the stamp of a message in ns, or when it was logged if it has none."""
+        """Return the stamp of a message in ns, or its log time if it has none."""
         nanoseconds = ros.header_stamp(message)
-        if nanoseconds or self._begins_at_zero or log_time <= ros.NANOSECONDS:
+        if nanoseconds or self._starts_at_zero or log_time <= ros.NANOSECONDS:
             return nanoseconds
         self._problems.add(
             "no stamp",
-            f"{self._path}: {topic} has headers without a stamp; the time of logging is used",
+            f"{self._path}: {topic} has headers without a stamp; the log time is used",
         )
         return log_time
 
@@ -182,12 +182,12 @@ class RowReader:
                 "name them with --set source.left_joint=NAME --set source.right_joint=NAME"
             )
         left, right = (float(message.position[joint]) for joint in joints)
-        finite("wheel position", left, right)
+        check_finite("wheel position", left, right)
         return WheelAngles(stamp, left, right)
 
 
-def _alike(records: Iterable[Record]) -> Iterable[list[Record]]:
-    """Return messages of one publisher and size together."""
+def _grouped(records: Iterable[Record]) -> Iterable[list[Record]]:
+    """Return the messages grouped by publisher and size."""
     groups: dict[tuple[int, int], list[Record]] = {}
     for record in records:
         groups.setdefault((record.connection.id, len(record.data)), []).append(record)
@@ -195,7 +195,7 @@ def _alike(records: Iterable[Record]) -> Iterable[list[Record]]:
 
 
 def _same(a: Columns, b: Columns) -> bool:
-    """Tell whether columns of one row are the same to the byte."""
+    """Return whether columns of one row are equal to the byte."""
     return (
         a.values.keys() == b.values.keys()
         and same_layout(a, b)

@@ -1,4 +1,4 @@
-"""One face for logs of ROS: ROS 1 bags, ROS 2 folders, MCAP and SQLite files."""
+"""A common interface to ROS logs: ROS 1 bags, ROS 2 folders, MCAP and SQLite files."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from impslam.sources.ros_files import BagFolder, PlainSqlite3Reader, UnlistedFol
 from impslam.sources.unpack import LimitError
 
 Storage: TypeAlias = BoundedReader1 | BagFolder | CutMcapReader | PlainSqlite3Reader
-RosMessage: TypeAlias = Any  # rosbags finds the classes at run time
+RosMessage: TypeAlias = Any  # rosbags creates the classes at run time
 
 _MAGIC: dict[bytes, Callable[[Path], Storage]] = {
     b"#ROSBAG V": BoundedReader1,
@@ -38,7 +38,7 @@ _REPAIR = "repair it with `rosbag reindex`, `ros2 bag reindex` or `mcap recover`
 
 
 def storage_class(path: Path) -> Callable[[Path], Storage] | None:
-    """Return what reads a file, by its first bytes, or a folder, by its metadata.yaml or its files."""
+    """Return the reader of a file, by its first bytes, or of a folder, by its metadata.yaml or files."""
     if path.is_dir():
         if (path / "metadata.yaml").is_file():
             return BagFolder
@@ -52,12 +52,12 @@ def storage_class(path: Path) -> Callable[[Path], Storage] | None:
 
 
 def one_line(error: BaseException) -> str:
-    """Return what an error of rosbags says, on one line."""
+    """Return the message of an error of rosbags on one line."""
     return " ".join(str(error).split())[:200] or type(error).__name__
 
 
 class Bag:
-    """An open bag of any kind; `SourceError` if it cannot be opened."""
+    """An open bag of any kind; raises `SourceError` if it cannot be opened."""
 
     def __init__(self, path: Path) -> None:
         make = storage_class(path)
@@ -68,7 +68,7 @@ class Bag:
             self._storage.open()
         except LimitError as error:
             raise _too_large(path, error) from None
-        except Exception as error:  # a damaged index leads rosbags to raise anything
+        except Exception as error:  # rosbags may raise anything on a damaged index
             raise SourceError(f"{path}: cannot be opened ({one_line(error)}); {_REPAIR}") from None
         self._path, self.is_ros1 = path, make is BoundedReader1
         self.is_cut = not isinstance(self._storage, PlainSqlite3Reader) and self._storage.is_cut
@@ -79,13 +79,13 @@ class Bag:
 
     @property
     def connections(self) -> list[Connection]:
-        """What was recorded, one entry per topic and publisher."""
+        """The recorded connections, one per topic and publisher."""
         return self._storage.connections
 
     def messages(
         self, connections: Collection[Connection]
     ) -> Iterator[tuple[Connection, int, bytes]]:
-        """Yield (connection, log time in ns, data) in the order of log time."""
+        """Yield (connection, log time in ns, data) in order of log time."""
         try:
             yield from self._storage.messages(connections)
         except LimitError as error:
@@ -93,21 +93,21 @@ class Bag:
 
     @property
     def repair(self) -> str:
-        """The command that gives a cut file its end."""
+        """The command that repairs a truncated file."""
         if self.is_ros1:
             return "rosbag reindex"
         return "ros2 bag reindex" if isinstance(self._storage, BagFolder) else "mcap recover"
 
     @property
     def types(self) -> Typestore:
-        """The standard types of messages."""
+        """The standard message types."""
         return _standard_types(self.is_ros1)
 
     def decoder(self, connection: Connection) -> Callable[[bytes], RosMessage]:
-        """Return what turns a connection's data into messages.
+        """Return a function that deserialises a connection's data.
 
-        Types are the standard ones, the same since ROS 1 but for the header: definitions in the log
-        are left alone, since rosbags makes code of them.
+        It uses the standard types, the same since ROS 1 except for the header. Definitions in the log
+        are ignored, because rosbags generates code from them.
         """
         kind, store = connection.msgtype, self.types
         if self.is_ros1:
@@ -118,13 +118,13 @@ class Bag:
 @lru_cache
 def _standard_types(is_ros1: bool) -> Typestore:
     store = get_typestore(Stores.ROS1_NOETIC if is_ros1 else Stores.LATEST)
-    if is_ros1:  # rosbags lacks these, of tf2 and of tf before it
+    if is_ros1:  # rosbags lacks the types of tf2 and tf
         store.register(dict.fromkeys(("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"), _TRANSFORMS))
     return store
 
 
 def _too_large(path: Path, error: LimitError) -> SourceError:
     return SourceError(
-        f"{path}: has {error}; no robot records such: check where it is from, or write it again in "
-        "chunks of a few MB (`mcap compress --chunk-size 4194304`)"
+        f"{path}: has {error}, more than any robot records; check its origin, or rewrite it in chunks "
+        "of a few MB (`mcap compress --chunk-size 4194304`)"
     )

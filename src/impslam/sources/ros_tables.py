@@ -1,7 +1,7 @@
-"""Many serialised ROS messages at once, as columns: those of one type whose bytes lie alike.
+"""Reads many serialised ROS messages of one type and equal layout at once, as columns.
 
-Fields are found by walking the first message with the standard definition of its type. Messages with
-strings or lengths of arrays that differ from its are not among those read here.
+The fields are located by walking the first message with the standard definition of its type. Messages
+whose strings or array lengths differ from those of the first are not read here.
 """
 
 from __future__ import annotations
@@ -16,20 +16,20 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys.store import Typestore
 
 from impslam.sources import ros_messages as ros
-from impslam.sources.transforms import UNIT
+from impslam.sources.transforms import UNIT_TOLERANCE
 from impslam.types import Array, Ints, Mask
 
 Values = dict[str, Array]
-FIXED = 4096  # bytes of strings and lengths; what has more is read one by one
+MAX_FIXED = 4096  # bytes of strings and lengths; messages with more are read one by one
 
 
 class Walk:
-    """Finds the fields of a message in its bytes; raises anything where these are not sound.
+    """Locates the fields of a message in its bytes; raises an exception of any type if it is not valid.
 
     Attributes
     ----------
-    places : (offset, type of numpy, count or None for a number) of each field, by its dotted name
-    fixed : offsets of the bytes in strings and lengths
+    places : (offset, numpy type, count, or None for a scalar) of each field, by its dotted name
+    fixed : offsets of the bytes of strings and lengths
     """
 
     def __init__(self, data: bytes, kind: str, store: Typestore, is_ros1: bool) -> None:
@@ -41,9 +41,9 @@ class Walk:
         self.fixed: list[int] = list(range(self._at))
         self._message("", kind)
 
-    def _message(self, above: str, kind: str) -> None:
+    def _message(self, prefix: str, kind: str) -> None:
         for name, (node, detail) in self._store.get_msgdef(kind).fields:
-            self._field(above + name, node, detail)
+            self._field(prefix + name, node, detail)
 
     def _field(self, path: str, node: Any, detail: Any) -> None:
         if node == Nodetype.NAME:
@@ -68,7 +68,7 @@ class Walk:
         self.places[path] = self._at, dtype, count
         self._at += dtype.itemsize * (1 if count is None else count)
         if self._at > len(self._data):
-            raise ValueError("the message is cut short")
+            raise ValueError("the message is truncated")
 
     def _length(self) -> int:
         self._align(4)
@@ -77,8 +77,8 @@ class Walk:
         return length
 
     def _skip_fixed(self, count: int) -> None:
-        if self._at + count > len(self._data) or len(self.fixed) + count > FIXED:
-            raise ValueError("the message is cut short, or more names than numbers")
+        if self._at + count > len(self._data) or len(self.fixed) + count > MAX_FIXED:
+            raise ValueError("the message is truncated, or more names than numbers")
         self.fixed += range(self._at, self._at + count)
         self._at += count
 
@@ -88,11 +88,11 @@ class Walk:
 
 
 class Rows:
-    """m messages of one type, of the same number of bytes.
+    """m messages of one type and equal size.
 
     Attributes
     ----------
-    alike : (m,) which of them have the strings and lengths of the first
+    alike : (m,) which of them have the same strings and lengths as the first
     """
 
     def __init__(self, datas: Sequence[bytes], kind: str, store: Typestore, is_ros1: bool) -> None:
@@ -119,28 +119,28 @@ class Rows:
         return np.stack([self[f"{path}.{name}"] for name in names], axis=1).astype(np.float64)
 
     def shared(self, *paths: str) -> Mask:
-        """Tell (m,) which rows have the same bytes in some fields as the first."""
+        """Return (m,) which rows have the same bytes in some fields as the first."""
         places = [self._places[path] for path in paths]
         where = [k for offset, dtype, _ in places for k in range(offset, offset + dtype.itemsize)]
         column = self._bytes[:, where]
         same: Mask = (column == column[0]).all(axis=1)
         return same
 
-    def nanoseconds(self, above: str = "") -> Ints:
-        """Return (m,) the stamps in the headers, of what lies at this path."""
-        stamp = self[f"{above}header.stamp.sec"].astype(np.int64) * ros.NANOSECONDS
-        stamp += self[f"{above}header.stamp.nanosec"]
+    def nanoseconds(self, prefix: str = "") -> Ints:
+        """Return (m,) the header stamps, ns, of the submessage at this path."""
+        stamp = self[f"{prefix}header.stamp.sec"].astype(np.int64) * ros.NANOSECONDS
+        stamp += self[f"{prefix}header.stamp.nanosec"]
         return stamp
 
 
 def scans(rows: Rows, joints: ros.Joints | None) -> tuple[Values, Mask]:
-    """Return the columns of `sensor_msgs/LaserScan`, and which rows are sound and of one layout."""
+    """Return the columns of `sensor_msgs/LaserScan`, and which rows are valid and of one layout."""
     del joints
     good = rows.shared("angle_min", "angle_increment", "time_increment", "range_min", "range_max")
     values = {"ranges": rows.wide("ranges")}
-    bright = rows.wide("intensities")
-    if bright.shape == values["ranges"].shape:
-        values["intensities"] = bright
+    intensities = rows.wide("intensities")
+    if intensities.shape == values["ranges"].shape:
+        values["intensities"] = intensities
     return values, good
 
 
@@ -157,27 +157,28 @@ def poses(rows: Rows, joints: ros.Joints | None) -> tuple[Values, Mask]:
     del joints
     quaternions = rows.vectors("pose.pose.orientation", "xyzw")
     with np.errstate(over="ignore", invalid="ignore"):
-        good = (quaternions**2).sum(axis=1) > 1e-5  # zero or nearly so: let it be explained
+        good = (quaternions**2).sum(axis=1) > 1e-5  # (nearly) zero ones are reported one by one
     return _planar(rows.vectors("pose.pose.position", "xy"), quaternions, good)
 
 
-def transforms(rows: Rows, above: str) -> tuple[Values, Mask]:
-    """Return the columns of the pose in a transform, which lies at this path."""
-    quaternions = rows.vectors(f"{above}transform.rotation", "xyzw")
+def transforms(rows: Rows, prefix: str) -> tuple[Values, Mask]:
+    """Return the columns of the pose in the transform at this path."""
+    quaternions = rows.vectors(f"{prefix}transform.rotation", "xyzw")
     with np.errstate(over="ignore", invalid="ignore"):
-        good = np.abs((quaternions**2).sum(axis=1) - 1.0) < 0.99 * UNIT  # near it: let it be judged
-    return _planar(rows.vectors(f"{above}transform.translation", "xyz"), quaternions, good)
+        norms2 = (quaternions**2).sum(axis=1)
+        good = np.abs(norms2 - 1.0) < 0.99 * UNIT_TOLERANCE  # borderline ones are read one by one
+    return _planar(rows.vectors(f"{prefix}transform.translation", "xyz"), quaternions, good)
 
 
-def _planar(places: Array, quaternions: Array, good: Mask) -> tuple[Values, Mask]:
+def _planar(positions: Array, quaternions: Array, good: Mask) -> tuple[Values, Mask]:
     """Return poses [x, y, yaw], and which of the good ones are finite."""
     x, y, z, w = quaternions.T
     with np.errstate(over="ignore", invalid="ignore"):
-        good = good & np.isfinite(x + y + z + w) & np.isfinite(places.sum(axis=1))
+        good = good & np.isfinite(x + y + z + w) & np.isfinite(positions.sum(axis=1))
         sines, cosines = 2.0 * (w * z + x * y), w * w + x * x - y * y - z * z
-    # numpy's arctan2 may differ in the last bit from machine to machine, and from math's.
+    # numpy's arctan2 may differ in the last bit between machines, and from math's.
     yaws = list(map(math.atan2, sines.tolist(), cosines.tolist()))
-    return {"pose": np.column_stack((places[:, :2], yaws))}, good
+    return {"pose": np.column_stack((positions[:, :2], yaws))}, good
 
 
 def imus(rows: Rows, joints: ros.Joints | None) -> tuple[Values, Mask]:

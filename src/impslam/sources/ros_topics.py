@@ -1,4 +1,4 @@
-"""Topics of a ROS log: what each of them is used for."""
+"""Chooses what the topics of a ROS log are used for."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ TYPES: dict[Use, tuple[str, ...]] = {
     "fix": ("sensor_msgs/msg/NavSatFix",),
     "image": ("sensor_msgs/msg/CompressedImage",),
 }
-"""The types of message that each use may come from, the best first."""
+"""The message types for each use, in order of preference."""
 KINDS: dict[Use, type[Message]] = {
     "truth": TruePose,
     "scan": LaserScan,
@@ -47,8 +47,8 @@ KINDS: dict[Use, type[Message]] = {
     "image": Image,
 }
 TRUTH_TOPIC = "ground_truth"  # in its name; Stage has /base_pose_ground_truth
-ASKED: tuple[Use, ...] = ("voltages",)
-"""Uses whose type holds anything: a topic has one only if it is asked for by name."""
+ONLY_BY_NAME: tuple[Use, ...] = ("voltages",)
+"""Uses whose message type is generic: a topic has one only if the user names it."""
 EVENT_TYPE = "rcl_interfaces/msg/Log"
 
 KEPT = {
@@ -61,25 +61,25 @@ KEPT = {
     "geometry_msgs/msg/Vector3Stamped": "encoder voltages",
     "geometry_msgs/msg/TwistStamped": "commanded velocity",
 }
-"""What else our recorder writes: kept for whoever wants it, of no use for mapping."""
+"""Further types written by the robot's recorder; mapping does not use them."""
 
 Counts: TypeAlias = dict[tuple[str, str], int]
 """Number of messages by (topic, type)."""
 
 
-def choose(log: Path, asked: Mapping[Use, str], counts: Counts) -> dict[str, Use]:
-    """Return what each topic is used for: what is asked for first, then the best of each use.
+def choose(log: Path, requested: Mapping[Use, str], counts: Counts) -> dict[str, Use]:
+    """Return what each topic is used for: the requested topics, then the best for each other use.
 
-    The best is of the first type in `TYPES`, and has the most messages; odometry is rather of the same
-    robot as the scans (by its namespace), and called odom (REP 105).
+    The best one has the first type in `TYPES`, then the most messages; for odometry, topics in the same
+    namespace as the scans and those named odom (REP 105) are preferred.
     """
     uses: dict[str, Use] = {}
-    for use, topic in asked.items():
+    for use, topic in requested.items():
         if topic:
             _check(log, use, topic, counts)
             uses[topic] = use
     for use, kinds in TYPES.items():
-        if use in asked or use in ASKED:
+        if use in requested or use in ONLY_BY_NAME:
             continue
         scan = next((topic for topic, name in uses.items() if name == "scan"), "")
         free = [(kinds.index(k), t, n) for (t, k), n in counts.items() if k in kinds and n]
@@ -94,7 +94,7 @@ def choose(log: Path, asked: Mapping[Use, str], counts: Counts) -> dict[str, Use
 
 
 def _unlikely(topic: str, scan: str) -> tuple[bool, bool]:
-    """Return whether a topic of odometry is in another namespace than scans, and not called odom."""
+    """Return whether an odometry topic is in another namespace than the scans, and not named odom."""
     return _namespace(topic) != _namespace(scan), topic.rsplit("/", 1)[-1] != "odom"
 
 
@@ -103,7 +103,7 @@ def _namespace(topic: str) -> str:
 
 
 def choose_wanted(wanted: Collection[str], counts: Counts) -> dict[str, Use]:
-    """Return what the topics that are asked for by name are used for."""
+    """Return what the topics named in `wanted` are used for."""
     uses: dict[str, Use] = {}
     for topic, kind in counts:
         fit = [use for use, kinds in TYPES.items() if kind in kinds]
@@ -121,15 +121,15 @@ def _check(log: Path, use: Use, topic: str, counts: Counts) -> None:
         )
 
 
-def rivals(topic: str, kind: str, defaults: Mapping[str, Use]) -> str:
-    """Return which topic of its type is read instead of one, and how to read that; or nothing."""
+def rival_note(topic: str, kind: str, defaults: Mapping[str, Use]) -> str:
+    """Return which topic is read instead of this one, and how to read this one; or ""."""
     uses = [use for use, kinds in TYPES.items() if kind in kinds]
     taken = {use: name for name, use in defaults.items() if use in uses}
     if not taken:
         return ""
-    said = ", ".join(f"{use} is {name}" for use, name in taken.items())
+    chosen = ", ".join(f"{use} is {name}" for use, name in taken.items())
     return (
-        f"not read: {said}; set source.topics.{next(iter(taken))}={topic} to use this one "
+        f"not read: {chosen}; set source.topics.{next(iter(taken))}={topic} to use this one "
         "instead, or name it in source.wanted"
     )
 
@@ -143,5 +143,5 @@ def count_messages(connections: Sequence[Connection]) -> Counts:
 
 
 def is_truth(topic: str) -> bool:
-    """Tell by its name whether a topic of odometry holds the truth."""
+    """Return whether an odometry topic contains ground truth, judging by its name."""
     return TRUTH_TOPIC in topic

@@ -1,6 +1,6 @@
-"""Values of this package as ROS 2 messages: which topic, which type, and the bytes.
+"""Converts messages of this package to serialised ROS 2 messages with topic and type.
 
-The other half of `ros_messages`. Header stamps are the messages' own; frames follow REP 105.
+The inverse of `ros_messages`. Header stamps are those of the messages; frames follow REP 105.
 """
 
 from __future__ import annotations
@@ -34,16 +34,16 @@ from impslam.types import (
 )
 
 LEVELS = {"info": 20, "warning": 30, "error": 40}  # INFO, WARN and ERROR of rcl_interfaces/Log
-UNKNOWN_VARIANCE = 0.0  # what sensor_msgs takes for a variance that nobody has stated
+UNKNOWN_VARIANCE = 0.0  # by the convention of sensor_msgs
 
 
 def _spacing(name: str, values: Array) -> float:
-    """Return the step of equally spaced values; `MessageError` if they are not."""
+    """Return the step of equally spaced values; raise `MessageError` if they are not."""
     if len(values) < 2:
         return 0.0
     step = (float(values[-1]) - float(values[0])) / (len(values) - 1)
     if not np.allclose(np.diff(values), step, rtol=0.0, atol=1e-6):
-        raise MessageError(f"{name} are not equally spaced, which sensor_msgs/LaserScan cannot say")
+        raise MessageError(f"{name} are not equally spaced, as sensor_msgs/LaserScan requires")
     return step
 
 
@@ -51,7 +51,7 @@ def _scan(message: LaserScan) -> RosMessage:
     if len(message.ranges) == 0:
         raise MessageError("a scan without beams cannot be recorded")
     step, wait = _spacing("angles", message.angles), _spacing("times", message.time_offsets)
-    bright = np.empty(0) if message.intensities is None else message.intensities
+    intensities = np.empty(0) if message.intensities is None else message.intensities
     return new(
         "sensor_msgs/msg/LaserScan",
         header_of(message.stamp, "laser"),
@@ -63,7 +63,7 @@ def _scan(message: LaserScan) -> RosMessage:
         message.range_min,
         message.range_max,
         message.ranges.astype(np.float32),
-        bright.astype(np.float32),
+        intensities.astype(np.float32),
     )
 
 
@@ -74,7 +74,7 @@ def _wheels(message: WheelAngles) -> RosMessage:
 
 
 def _voltages(message: EncoderVoltages) -> RosMessage:
-    """Return the left encoder in x and the right one in y, V; no standard type has a pair."""
+    """Return the left encoder in x and the right one in y, V, as no standard type has a pair."""
     both = xyz("Vector3", np.array([message.left, message.right, 0.0]))
     return new("geometry_msgs/msg/Vector3Stamped", header_of(message.stamp, ""), both)
 
@@ -96,7 +96,7 @@ def _imu(message: Imu) -> RosMessage:
 
 
 def _fix(message: SatelliteFix) -> RosMessage:
-    """Return a fix of GPS with the covariance of east, north and up; type 0 (unknown) or 3 (known)."""
+    """Return a GPS fix with the covariance of east, north and up; type 0 (unknown) or 3 (known)."""
     known = bool(np.isfinite(message.covariance).all())
     status = new("sensor_msgs/msg/NavSatStatus", message.status, 1)
     covariance = message.covariance.ravel() if known else np.zeros(9)
@@ -139,7 +139,7 @@ def _event(message: Event) -> RosMessage:
         level,
         message.source,
         message.text,
-        *("", "", 0),  # no place in a program
+        *("", "", 0),  # no file, function and line
     )
 
 
@@ -175,7 +175,7 @@ def pose(message: OdometryPose | TruePose) -> RosMessage:
 
 
 class Channel(NamedTuple):
-    """Where a message goes: topic ({device} stands for the device it is about), type, and how."""
+    """Topic of a message ({device} is replaced by its device), ROS type, and conversion."""
 
     topic: str
     kind: str
@@ -206,7 +206,7 @@ CHANNELS: dict[type[Message], tuple[Channel, ...]] = {
 
 
 class Record(NamedTuple):
-    """A message as it stands in a log."""
+    """A serialised message of a log."""
 
     topic: str
     kind: str
@@ -214,12 +214,12 @@ class Record(NamedTuple):
 
 
 def encode(message: Message) -> Iterator[Record]:
-    """Yield a message as ROS has it: mostly one record, of the climate two.
+    """Yield a message as ROS records: one, or two for `Climate`.
 
     Raises
     ------
     MessageError
-        If it cannot be said in ROS (beams not equally spaced, stamps before 1970, no type for it).
+        If ROS cannot represent it (beams not equally spaced, stamps before 1970, no type for it).
     """
     if type(message) not in CHANNELS:
         raise MessageError(f"{type(message).__name__} has no ROS type and cannot be recorded")

@@ -1,7 +1,7 @@
 """ROS 1 bags, ROS 2 bags (SQLite and MCAP) and single MCAP files, without ROS.
 
-Topics are found by type. Messages come in the order in which they were logged, at the stamps of
-their headers. Only the messages of topics in use are deserialised.
+Topics are found by type. Messages come in order of their log time, with the stamps of their headers. Only
+the messages of topics in use are deserialised.
 """
 
 from __future__ import annotations
@@ -35,18 +35,18 @@ from impslam.sources.ros_topics import (
     choose,
     choose_wanted,
     count_messages,
-    rivals,
+    rival_note,
 )
 from impslam.types import Message
 
-PART = 1 << 23  # bytes of messages held at once, and the one that exceeds them
+PART_SIZE = 1 << 23  # bytes of messages held at once, plus the one that exceeds it
 PRESET_TOPIC, PRESET_TYPE = "/impslam/preset", "std_msgs/msg/String"
-NO_WHEELS = "no wheels among the joints: name them by source.left_joint and source.right_joint"
+NO_WHEELS = "no wheels among the joints; name them with source.left_joint and source.right_joint"
 CLIMATE_TYPES = {
     "temperature": ("sensor_msgs/msg/Temperature", "temperature"),
     "humidity": ("sensor_msgs/msg/RelativeHumidity", "relative_humidity"),
 }
-"""What `surroundings` tells of: type and field."""
+"""Message type and field of each quantity in `surroundings`."""
 WARNING, ERROR = 30, 40  # levels of rcl_interfaces/Log
 
 
@@ -59,10 +59,10 @@ class RosBag(Source):
     topics: dict[Use, str] = parameter(
         {},
         "1",
-        "topic for scan, wheels, odometry, imu, fix, image or truth; an empty name takes none",
+        "topic for scan, wheels, odometry, imu, fix, image or truth; empty: use none",
     )
-    left_joint: str = parameter("", "1", "left wheel in JointState; empty: a name with left in it")
-    right_joint: str = parameter("", "1", "right wheel in JointState; empty: with right in it")
+    left_joint: str = parameter("", "1", "left wheel in JointState; empty: a name containing left")
+    right_joint: str = parameter("", "1", "right wheel in JointState; empty: one containing right")
 
     _bag: Bag | None = PrivateAttr(default=None)
     _uses: dict[str, Use] = PrivateAttr(default_factory=dict)
@@ -71,14 +71,14 @@ class RosBag(Source):
     _edge: Edge | None = PrivateAttr(default=None)  # the transform that may be odometry
     _mounts: dict[str, Mount] = PrivateAttr(default_factory=dict)
     _antennas: dict[str, Mount] = PrivateAttr(default_factory=dict)
-    _idle: set[str] = PrivateAttr(default_factory=set)  # transforms and joints that tell no motion
-    _held: tuple[str, ...] = PrivateAttr(default=())
-    _preset: str | None = PrivateAttr(default=None)  # None: not looked for yet
+    _idle: set[str] = PrivateAttr(default_factory=set)  # transforms and joints without odometry
+    _watched: tuple[str, ...] = PrivateAttr(default=())
+    _preset: str | None = PrivateAttr(default=None)  # None: not read yet
     _position: int = PrivateAttr(default=0)
 
     @classmethod
     def recognises(cls, path: Path) -> bool:
-        """Tell by the magic bytes of a file, or by what a folder holds."""
+        """Recognise the format by the magic bytes of a file, or by the files in a folder."""
         return storage_class(path) is not None
 
     def __enter__(self) -> Self:
@@ -88,8 +88,8 @@ class RosBag(Source):
             counts = self._usable(self._bag, frames)
             self._defaults = choose(self.path, self.topics, counts)
             self._uses = choose_wanted(self.wanted, counts) | self._defaults
-            where = self._default("odometry"), self._edge
-            self._mounts, self._antennas = frames.mounts(*where), frames.antennas(*where)
+            odometry = self._default("odometry"), self._edge
+            self._mounts, self._antennas = frames.mounts(*odometry), frames.antennas(*odometry)
             if self._preset is None:
                 self._preset = self._recorded_preset(self._bag)
         except BaseException:
@@ -104,7 +104,7 @@ class RosBag(Source):
 
     @property
     def preset(self) -> str:
-        """Name of the preset, or the config as TOML, that the recorder wrote, if it did."""
+        """Name of the preset, or the config as TOML, written by the recorder, or the default."""
         return self._preset or self.default_preset
 
     @property
@@ -118,23 +118,23 @@ class RosBag(Source):
         return self._position
 
     def kinds(self) -> frozenset[type[Message]]:
-        """Return what the topics in use hold."""
+        """Return the types of messages of the topics in use."""
         return frozenset(KINDS[use] for use in self._uses.values())
 
     def mounts(self) -> Mapping[str, Mount]:
-        """Return where TF mounts the lasers, by the topic of their scans."""
+        """Return the mounts of the lasers according to TF, by the topic of their scans."""
         return self._mounts
 
     def antennas(self) -> Mapping[str, Mount]:
-        """Return where TF mounts the antennas of GNSS receivers, by the topic of their fixes."""
+        """Return the mounts of the antennas according to TF, by the topic of their fixes."""
         return self._antennas
 
-    def hold_mounts(self, streams: Collection[str]) -> None:
+    def watch_mounts(self, streams: Collection[str]) -> None:
         """Drop scans of these topics while TF moves their laser on the robot."""
-        self._held = tuple(streams)
+        self._watched = tuple(streams)
 
     def streams(self) -> list[Stream]:
-        """Return the topics, by name, with what they are used for."""
+        """Return the topics by name, with their use."""
         counts = count_messages(self._open().connections)
         return [
             Stream(
@@ -154,15 +154,17 @@ class RosBag(Source):
         for name, (kind, field) in CLIMATE_TYPES.items():
             topics = [c for c in bag.connections if c.msgtype == kind]
             values: list[float] = []
-            with suppress(Exception):  # of a damaged log, as far as it goes; reading it tells so
+            with suppress(
+                Exception
+            ):  # a damaged log is read up to the damage, which `batches` reports
                 for connection, _, data in bag.messages(topics) if topics else ():
                     values.append(float(getattr(bag.decoder(connection)(data), field)))
-            if sound := [value for value in values if math.isfinite(value)]:
-                found[name] = min(sound), max(sound)
+            if finite := [value for value in values if math.isfinite(value)]:
+                found[name] = min(finite), max(finite)
         return found
 
     def defaults(self) -> Mapping[type[Message], str]:
-        """Return the topic to use of each kind."""
+        """Return the default topic of each kind."""
         return {KINDS[use]: topic for topic, use in self._defaults.items()}
 
     def _is_used(self, topic: str) -> bool:
@@ -171,22 +173,22 @@ class RosBag(Source):
     def _note(self, topic: str, kind: str) -> str:
         edge = self._edge
         if topic in self._uses:
-            ways = f": {edge.parent} -> {edge.child}" if edge and topic == edge.topic else ""
-            return self._uses[topic] + ways
+            frames = f": {edge.parent} -> {edge.child}" if edge and topic == edge.topic else ""
+            return self._uses[topic] + frames
         if topic in self._idle:
             return "frames" if kind in TF_TYPES else NO_WHEELS
         if topic == PRESET_TOPIC:
             return "preset"
-        if self._preset and kind in KEPT:  # the log is one of ours
+        if self._preset and kind in KEPT:  # the log is from our recorder
             return f"kept: {KEPT[kind]}"
-        return rivals(topic, kind, self._defaults)
+        return rival_note(topic, kind, self._defaults)
 
     def _usable(self, bag: Bag, frames: Frames) -> Counts:
-        """Return the numbers of messages, without transforms or joints that tell no motion."""
+        """Return the numbers of messages, without transforms or joints that contain no odometry."""
         counts = count_messages(bag.connections)
-        still = {(t, k): n for (t, k), n in counts.items() if k not in TF_TYPES}
+        without_tf = {(t, k): n for (t, k), n in counts.items() if k not in TF_TYPES}
         self._defaults = choose(
-            self.path, {u: t for u, t in self.topics.items() if u == "scan"}, still
+            self.path, {u: t for u, t in self.topics.items() if u == "scan"}, without_tf
         )
         self._edge = frames.odometry(self._default("scan"))
         odometry = self._edge.topic if self._edge else None
@@ -199,7 +201,7 @@ class RosBag(Source):
         return {(topic, kind): n for (topic, kind), n in counts.items() if topic not in self._idle}
 
     def _lacks_wheels(self, bag: Bag, connection: Connection) -> bool:
-        """Tell whether the first message has no wheels among its joints, and nobody asks for them."""
+        """Return whether the first message has no wheel joints, and the user has not named its topic."""
         if connection.topic in self.topics.values():
             return False
         joints = self.left_joint, self.right_joint
@@ -209,7 +211,7 @@ class RosBag(Source):
         )
 
     def _default(self, use: Use) -> str:
-        """Return the topic to use, or nothing."""
+        """Return the default topic of a use, or ""."""
         return next((topic for topic, name in self._defaults.items() if name == use), "")
 
     def _open(self) -> Bag:
@@ -231,17 +233,17 @@ class RosBag(Source):
                 return str(bag.decoder(connection)(data).data)
         except SourceError:
             raise
-        except Exception as error:  # rosbags raises anything on damaged data
+        except Exception as error:  # rosbags may raise anything on damaged data
             self._problems.add("unreadable preset", f"{self.path}: {one_line(error)}; set one")
         return ""
 
     def _parts(self, rows: int) -> Iterator[list[Piece]]:
-        """Yield the rows of some messages: those that lie alike at once, the others one by one."""
+        """Yield the rows of some messages at a time."""
         bag = self._open()
         if bag.is_cut:
             self._problems.add(
                 "cut file",
-                f"{self.path}: lacks its end (power lost, or still being recorded); whole records "
+                f"{self.path}: is truncated (power loss, or still being recorded); complete records "
                 f"are used; other programs need `{bag.repair}` first",
             )
         joints = (self.left_joint, self.right_joint)
@@ -252,7 +254,7 @@ class RosBag(Source):
     def _records(self, bag: Bag, rows: int) -> Iterator[list[Record]]:
         """Yield the messages in use, some at a time."""
         assert self._frames is not None
-        used, watch = self._used(), self._frames.watch(self._mounts, self._held)
+        used, watch = self._used(), self._frames.watch(self._mounts, self._watched)
         events = [c for c in bag.connections if self._preset and c.msgtype == EVENT_TYPE]
         watched = self._frames.publishers(bag, watch.frames)
         others = [c for c in (*events, *watched) if c not in used]
@@ -264,59 +266,59 @@ class RosBag(Source):
             if connection in watched and watch.may_be_in(data):
                 watch.update(links(bag.decoder(connection), data))
             if connection.topic not in topics:
-                self._enter_event(connection, data)
+                self._report_event(connection, data)
                 continue
             self._position += 1
             if connection.msgtype in TF_TYPES and not (odometry and odometry.is_in(data)):
                 continue
             if moved := watch.moved(connection.topic):
-                self._enter_moved(connection.topic, moved)
+                self._report_moved(connection.topic, moved)
                 continue
             records.append(Record(self._position, connection, log_time, data))
             size += len(data)
-            if len(records) >= min(rows, ROWS) or size > PART:
+            if len(records) >= min(rows, ROWS) or size > PART_SIZE:
                 yield records
                 records, size = [], 0
         if records:
             yield records
 
-    def _enter_event(self, connection: Connection, data: bytes) -> None:
-        """Enter what went wrong on the robot; what it merely did is left alone."""
+    def _report_event(self, connection: Connection, data: bytes) -> None:
+        """Report warnings and errors on the robot, but no other events."""
         if connection.msgtype != EVENT_TYPE:
             return
-        with suppress(Exception):  # rosbags raises anything on damaged data
+        with suppress(Exception):  # rosbags may raise anything on damaged data
             event = self._open().decoder(connection)(data)
             if event.level >= WARNING:
                 kind = "error on the robot" if event.level >= ERROR else "warning on the robot"
-                said = " ".join(f"{event.name}: {event.msg}".split())
-                self._problems.add(kind, f"{self.path}: {said}")
+                text = " ".join(f"{event.name}: {event.msg}".split())
+                self._problems.add(kind, f"{self.path}: {text}")
 
-    def _enter_moved(self, topic: str, moved: str) -> None:
-        """Enter a scan whose laser is not where it was at the first one."""
+    def _report_moved(self, topic: str, moved: str) -> None:
+        """Report a scan whose laser has moved since the first scan."""
         self._problems.add(
             "scan on a moved mount",
             f"{self.path}: TF moves the laser of {topic} on the robot by {moved}; scans are dropped "
-            "while it is so: give its mount with --set sensors.lidar.mount=[x,y,yaw] if that is wrong",
+            "meanwhile; if that is wrong, give its mount with --set sensors.lidar.mount=[x,y,yaw]",
         )
 
     def _raw(self, bag: Bag, used: Sequence[Connection]) -> Iterator[tuple[Connection, int, bytes]]:
-        """Yield the data in use; a damaged log ends early or has gaps, which is a problem."""
+        """Yield the data in use; report a problem if a damaged log ends early or has gaps."""
         number = 0
         try:
             for number, record in enumerate(bag.messages(used) if used else (), 1):  # noqa: B007
                 yield record
         except SourceError:
             raise
-        except Exception as error:  # rosbags raises anything on damaged data
+        except Exception as error:  # rosbags may raise anything on damaged data
             self._problems.add(
                 "damaged file",
                 f"{self.path}: ends after {self._position} messages ({one_line(error)}); "
-                "what precedes is used; copy it again or repair it",
+                "the messages before are used; copy it again or repair it",
             )
             return
-        if number < (told := sum(connection.msgcount for connection in used)):
+        if number < (listed := sum(connection.msgcount for connection in used)):
             self._problems.add(
                 "missing messages",
-                f"{self.path}: holds {number} of the {told} messages that its index tells of: another "
-                "program cut or overwrote it; the others are used; copy it again",
+                f"{self.path}: contains {number} of the {listed} messages in its index: another "
+                "program truncated or overwrote it; these are used; copy it again",
             )

@@ -1,4 +1,4 @@
-"""Checking of stamps: those that repeat, run backwards or leave a gap are counted and explained."""
+"""Checks stamps: repeated or backward ones and gaps are counted and reported."""
 
 from __future__ import annotations
 
@@ -10,15 +10,14 @@ import numpy as np
 from impslam.sources.parts import Piece, by_stream
 from impslam.types import Array, Ints, Mask
 
-GAP = 10.0  # s; at walking pace a robot is then in another room, beyond what any gate bridges
+MIN_GAP = 10.0  # s; at walking pace a robot may then be in another room, beyond any gate
 
 
 class StampCheck:
     """Checks the stamps of a log, part by part.
 
-    Each stream is a clock of its own: a scan is stamped at its first beam and arrives after wheel
-    angles that are younger. Nothing is dropped here; only the estimator knows what it can do with
-    such a row.
+    Streams are checked separately: a scan is stamped at its first beam and arrives after wheel angles
+    with later stamps. Nothing is dropped here; the estimator decides what to do with such a row.
     """
 
     def __init__(self, log: Path) -> None:
@@ -26,7 +25,7 @@ class StampCheck:
         self._latest: dict[str, float] = {}
 
     def check(self, part: Sequence[Piece]) -> list[tuple[str, str, int]]:
-        """Take in the next rows of all streams; return (kind, first example, count) of problems."""
+        """Check the next rows of all streams; return (kind, first example, count) of problems."""
         found: dict[str, list[tuple[int, int, str]]] = {}  # by kind: order, count and text
         for stream, pieces in by_stream(part).items():
             order, places, stamps = _checked(pieces)
@@ -37,8 +36,9 @@ class StampCheck:
             for kind, bad in _kinds(stamps - before).items():
                 if bad.any():
                     k = int(bad.argmax())
-                    said = f"{self._log}:{places[k]}: {stream} {_say(kind, before[k], stamps[k])}"
-                    found.setdefault(kind, []).append((int(order[k]), int(bad.sum()), said))
+                    what = _describe(kind, before[k], stamps[k])
+                    example = f"{self._log}:{places[k]}: {stream} {what}"
+                    found.setdefault(kind, []).append((int(order[k]), int(bad.sum()), example))
         return [
             (kind, min(several)[2], sum(count for _, count, _ in several))
             for kind, several in found.items()
@@ -46,7 +46,7 @@ class StampCheck:
 
 
 def _checked(pieces: Sequence[Piece]) -> tuple[Ints, Ints, Array]:
-    """Return order, place and stamp of the rows to be checked, in the order of the log."""
+    """Return order, place and stamp of the rows to check, in the order of the log."""
     order = np.concatenate([piece.columns.order[piece.checked] for piece in pieces])
     places = np.concatenate([piece.places[piece.checked] for piece in pieces])
     stamps = np.concatenate([piece.columns.stamps[piece.checked] for piece in pieces])
@@ -55,13 +55,13 @@ def _checked(pieces: Sequence[Piece]) -> tuple[Ints, Ints, Array]:
 
 
 def _kinds(steps: Array) -> dict[str, Mask]:
-    return {"gap": steps > GAP, "backward stamp": steps < 0.0, "repeated stamp": steps == 0.0}
+    return {"gap": steps > MIN_GAP, "backward stamp": steps < 0.0, "repeated stamp": steps == 0.0}
 
 
-def _say(kind: str, before: float, stamp: float) -> str:
+def _describe(kind: str, before: float, stamp: float) -> str:
     return {
-        "gap": f"has been silent for {stamp - before:.1f} s; was it paused?",
-        "backward stamp": f"is stamped {before - stamp:.6f} s before its predecessor; file order "
-        "is kept",
-        "repeated stamp": f"has the stamp {stamp:.6f} of the one before it",
+        "gap": f"was silent for {stamp - before:.1f} s; was recording paused?",
+        "backward stamp": f"has a stamp {before - stamp:.6f} s before that of its predecessor; file "
+        "order is kept",
+        "repeated stamp": f"has the same stamp as its predecessor, {stamp:.6f}",
     }[kind]

@@ -1,8 +1,8 @@
-"""Numbers in text, line by line into tables, as fast as memory and exactly as `float` reads them.
+"""Reads lines of numbers as tables, fast and with exactly the results of `float`.
 
-A decimal of at most 53 bits times a power of ten of at most 22 is correctly rounded by one product or
-quotient, since both are exact (Clinger 1990, "How to read floating point numbers accurately"). All
-else that stands for a number (nan, inf, more digits) is left to `float`.
+A mantissa of at most 53 bits times a power of ten of at most 22 is correctly rounded by one product or
+quotient, since both are exact (Clinger 1990, "How to read floating point numbers accurately"). Other
+words (nan, inf, more digits) are left to `float`.
 """
 
 from __future__ import annotations
@@ -17,19 +17,19 @@ from impslam.types import Array, Ints, Mask
 
 Bytes = npt.NDArray[np.uint8]
 
-_POWERS = np.array([float(f"1e{k}") for k in range(23)])  # all that are exact
-_EXACT = 2**53  # float64 has all whole numbers up to it; 18 digits fit into an int64
-_FAR = 1_000_000  # an exponent that is not plain, whatever the digits before it
-_WORD = 32  # bytes; a stamp is shorter
-_ODD = 1024  # words a call of the kernel leaves to `float`; lines with more are not read here
+_POWERS = np.array([float(f"1e{k}") for k in range(23)])  # all exact powers of ten
+_MAX_EXACT = 2**53  # float64 represents all integers up to it; 18 digits fit into an int64
+_NOT_PLAIN = 1_000_000  # an exponent that is out of bounds with any mantissa
+_MAX_WORD = 32  # bytes; a stamp is shorter
+_MAX_ODD = 1024  # words that a call leaves to `float`; lines with more are not read here
 
 
 class Lines:
-    """Whole lines of a text.
+    """The lines of a text.
 
     Parameters
     ----------
-    text : lines, of which the last need not end
+    text : lines; the last one need not have a line end
     """
 
     def __init__(self, text: bytes) -> None:
@@ -47,32 +47,32 @@ class Lines:
         return self._text[self.begins[k] : self.ends[k]].tobytes()
 
     def word(self, k: int) -> bytes:
-        """Return the first word of a line, cut to 32 bytes."""
-        return b"".join(self._text[self.begins[k] :][:_WORD].tobytes().split(None, 1)[:1])
+        """Return the first word of a line, truncated to 32 bytes."""
+        return b"".join(self._text[self.begins[k] :][:_MAX_WORD].tobytes().split(None, 1)[:1])
 
     def starting(self, prefix: bytes) -> Mask:
-        """Tell (m,) which lines start with some bytes."""
+        """Return (m,) which lines start with some bytes."""
         found = np.empty(len(self), np.bool_)
         _starting(self._text, self.begins, self.ends, np.frombuffer(prefix, np.uint8), found)
         return found
 
     def table(self, lines: Ints, skip: int, width: int, rest: int) -> tuple[Array, Mask]:
-        """Read lines of the same number of words.
+        """Read lines of equal numbers of words.
 
         Parameters
         ----------
-        lines : (k,) which ones
-        skip : bytes to leave out at the beginning of each
-        width : how many words are numbers
-        rest : how many words follow
+        lines : (k,) indices of the lines
+        skip : number of bytes to skip at the start of each
+        width : number of words that are numbers
+        rest : number of words that follow
 
         Returns
         -------
         values : (k, width)
-        good : (k,) false where a line is not so: it has other words, or more or fewer of them
+        good : (k,) false for lines with other words, or more or fewer of them
         """
         values, good = np.zeros((len(lines), width)), np.ones(len(lines), np.bool_)
-        odd = np.empty((_ODD, 4), np.int64)
+        odd = np.empty((_MAX_ODD, 4), np.int64)
         begins, ends = self.begins[lines] + skip, self.ends[lines]
         count = _table(self._text, begins, ends, rest, values, good, odd)
         for k, column, begin, end in odd[:count].tolist():
@@ -87,7 +87,7 @@ class Lines:
 
 @kernel
 def _starting(text: Bytes, begins: Ints, ends: Ints, prefix: Bytes, found: Mask) -> None:
-    """Tell which lines start with a prefix."""
+    """Set which lines start with a prefix."""
     n = len(prefix)
     for k in range(len(begins)):
         found[k] = ends[k] - begins[k] >= n
@@ -99,7 +99,7 @@ def _starting(text: Bytes, begins: Ints, ends: Ints, prefix: Bytes, found: Mask)
 
 @kernel
 def _is_blank(c: int) -> bool:
-    """Tell a byte between words, as `bytes.split` does."""
+    """Return whether a byte separates words, as for `bytes.split`."""
     return c == 32 or 9 <= c <= 13
 
 
@@ -119,7 +119,7 @@ def _skip_word(text: Bytes, i: int, end: int) -> int:
 
 @kernel
 def _number(text: Bytes, i: int, end: int) -> tuple[float, int, bool]:
-    """Return the number at index i, where its word ends, and whether it is plain."""
+    """Return the number at index i, the end of its word, and whether it is plain."""
     is_negative = text[i] == 45  # -
     if is_negative or text[i] == 43:  # +
         i += 1
@@ -140,7 +140,7 @@ def _number(text: Bytes, i: int, end: int) -> tuple[float, int, bool]:
     if digits > 0 and i < end and (text[i] == 101 or text[i] == 69):  # e E
         exponent, i = _exponent(text, i + 1, end)
         power += exponent
-    is_plain = 0 < digits <= 18 and mantissa <= _EXACT and -22 <= power <= 22
+    is_plain = 0 < digits <= 18 and mantissa <= _MAX_EXACT and -22 <= power <= 22
     if not is_plain or (i < end and not _is_blank(text[i])):
         return 0.0, _skip_word(text, i, end), False
     value = float(mantissa)
@@ -153,7 +153,7 @@ def _number(text: Bytes, i: int, end: int) -> tuple[float, int, bool]:
 
 @kernel
 def _exponent(text: Bytes, i: int, end: int) -> tuple[int, int]:
-    """Return the exponent at index i, and where it ends; one out of bounds if it is not plain."""
+    """Return the exponent at index i and its end; `_NOT_PLAIN` if it has no or too many digits."""
     is_negative = i < end and text[i] == 45
     if i < end and (text[i] == 45 or text[i] == 43):
         i += 1
@@ -162,7 +162,7 @@ def _exponent(text: Bytes, i: int, end: int) -> tuple[int, int]:
         value = 10 * value + (text[i] - 48)
         i += 1
     if not 0 < i - begin <= 4:
-        return _FAR, i
+        return _NOT_PLAIN, i
     return -value if is_negative else value, i
 
 
@@ -170,7 +170,7 @@ def _exponent(text: Bytes, i: int, end: int) -> tuple[int, int]:
 def _table(
     text: Bytes, begins: Ints, ends: Ints, rest: int, values: Array, good: Mask, odd: Ints
 ) -> int:
-    """Fill a table; return how many words are left to `float`: line, column, begin and end."""
+    """Fill a table; return the number of words left to `float`, whose places are in `odd`."""
     count = 0
     for k in range(len(begins)):
         i, end = begins[k], ends[k]

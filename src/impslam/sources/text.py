@@ -1,4 +1,4 @@
-"""What the readers of text logs share: lines, plain or gzipped, with their numbers."""
+"""Common parts of the readers of text logs: numbered lines, plain or gzipped."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from impslam.errors import MessageError, SourceError
 from impslam.sources.base import Source
 from impslam.types import Array
 
-LINE_LIMIT = 1 << 20  # bytes; ten times the longest line of any lidar here, so memory stays flat
+LINE_LIMIT = 1 << 20  # bytes, ten times the longest line of any lidar here; bounds memory
 BLOCK = 1 << 18  # bytes read at once: a hundred scans
-BEAMS_LIMIT = 100_000  # of a scan; ten times those of any lidar that turns in a plane
-WORDS_LIMIT = 100  # first words that are counted apart; formats have some ten
-_HEAD = 1 << 16  # bytes looked at to tell a format
+BEAMS_LIMIT = 100_000  # beams of a scan, ten times those of any 2D lidar
+WORDS_LIMIT = 100  # first words that are counted separately; formats have some ten
+_HEAD = 1 << 16  # bytes read to recognise a format
 _DAMAGE = (OSError, EOFError, zlib.error)
 
 
@@ -36,7 +36,7 @@ def _first_line(text: bytes) -> int:
 
 @contextmanager
 def open_text(path: Path) -> Iterator[tuple[BufferedIOBase, BufferedIOBase]]:
-    """Open a plain or gzipped file; give the file on disk and the text in it, both binary."""
+    """Open a plain or gzipped file; yield the file on disk and the text in it, both binary."""
     with path.open("rb") as raw:
         packed = raw.read(2) == b"\x1f\x8b"
         raw.seek(0)
@@ -57,7 +57,7 @@ def head(path: Path) -> list[bytes]:
             while len(start) < _HEAD and (more := text.read1(_HEAD)):
                 start += more
     except _DAMAGE:
-        pass  # what precedes the damage may do
+        pass  # the text before the damage may suffice
     if b"\0" in start:
         return []
     lines = start.splitlines(keepends=True)
@@ -65,11 +65,11 @@ def head(path: Path) -> list[bytes]:
 
 
 def numbers(tokens: list[bytes]) -> Array:
-    """Return tokens as float64; `ValueError` names the first that is not a number."""
+    """Return tokens as float64; raise `ValueError` with the first that is not a number."""
     return np.fromiter(map(float, tokens), np.float64, len(tokens))
 
 
-def finite(what: str, *values: float) -> None:
+def check_finite(what: str, *values: float) -> None:
     """Raise `MessageError` unless the sum, hence every value, is finite."""
     if not math.isfinite(sum(values)):
         raise MessageError(f"{what} is not finite")
@@ -77,7 +77,7 @@ def finite(what: str, *values: float) -> None:
 
 @lru_cache(maxsize=64)
 def beam_angles(n: int, start: float, step: float) -> Array:
-    """Return the n equally spaced angles from `start`, read-only and shared between scans.
+    """Return n equally spaced angles from `start`, read-only and shared between scans.
 
     Raises
     ------
@@ -101,7 +101,7 @@ def _shared(values: Array) -> Array:
 
 
 class TextSource(Source):
-    """A text log of one message or more per line; subclasses say what a line means."""
+    """A text log with one or more messages per line, which subclasses interpret."""
 
     _open: dict[Path, BufferedIOBase] = PrivateAttr(default_factory=dict)
 
@@ -122,9 +122,9 @@ class TextSource(Source):
         self._open.clear()
 
     def _blocks(self, path: Path) -> Iterator[tuple[int, bytes]]:
-        """Yield (number of the first line, whole lines); numbers begin at 1.
+        """Yield (number of the first line, complete lines); numbers start at 1.
 
-        A damaged gzip file ends early, which is a problem.
+        A damaged gzip file ends early, and a problem is reported.
         """
         number, text = 1, b""
         try:
@@ -147,11 +147,11 @@ class TextSource(Source):
                 yield number, whole
             self._problems.add(
                 "damaged file",
-                f"{path}: ends early ({error}); what precedes is used; copy it again",
+                f"{path}: ends early ({error}); the part before is used; copy it again",
             )
 
     def _lines(self, path: Path) -> Iterator[tuple[int, bytes]]:
-        """Yield (number, line) from 1."""
+        """Yield (number, line); numbers start at 1."""
         for number, block in self._blocks(path):
             yield from enumerate(BytesIO(block), number)
 
@@ -159,7 +159,7 @@ class TextSource(Source):
         self._problems.add(f"malformed {kind}", f"{path}:{number}: {why}; the line is dropped")
 
     def _first_words(self, path: Path) -> Counter[str]:
-        """Count the lines of a file by their first word, in a pass of its own."""
+        """Count the lines of a file by their first word, in a separate pass."""
         counts: Counter[str] = Counter()
         try:
             with open_text(path) as (_, text):
@@ -168,7 +168,7 @@ class TextSource(Source):
                     word = first[0].decode("ascii", "replace") if first else ""
                     counts[word if word in counts or len(counts) < WORDS_LIMIT else "..."] += 1
         except _DAMAGE:
-            pass  # iteration enters this in `problems`
+            pass  # iteration reports it in `problems`
         return counts
 
     @property
@@ -178,7 +178,7 @@ class TextSource(Source):
 
     @property
     def position(self) -> int:
-        """Bytes of the files on disk read so far."""
+        """Number of bytes read so far from the files on disk."""
         return sum(
             path.stat().st_size if raw.closed else raw.tell() for path, raw in self._open.items()
         )

@@ -1,9 +1,8 @@
 """The .dat logs of tinySLAM (CoreSLAM) and BreezySLAM: a Hokuyo URG-04LX and wheel encoders.
 
-One line per scan: a 32-bit count of microseconds, the two encoders in ticks, and 682 ranges in mm
-from the robot's right to its left, among figures nobody documents. Two layouts exist, told by the
-number of words. See Steux and El Hamzaoui 2010, "CoreSLAM: a SLAM algorithm in less than 200 lines
-of C code".
+One line per scan: a 32-bit count of microseconds, the two encoders in ticks, and 682 ranges in mm from the
+robot's right to its left, among undocumented numbers. There are two layouts, with different numbers of
+words. See Steux and El Hamzaoui 2010, "CoreSLAM: a SLAM algorithm in less than 200 lines of C code".
 """
 
 from __future__ import annotations
@@ -22,20 +21,20 @@ from impslam.errors import MessageError
 from impslam.sources.base import Stream
 from impslam.sources.parts import Located, Piece, single
 from impslam.sources.tables import Lines
-from impslam.sources.text import TextSource, beam_angles, beam_times, finite, head, numbers
+from impslam.sources.text import TextSource, beam_angles, beam_times, check_finite, head, numbers
 from impslam.types import Array, LaserScan, WheelAngles
 
 BEAMS = 682  # steps 44 to 725
 STEP = 2.0 * math.pi / 1024.0  # rad
-START = (44 - 384) * STEP  # rad; step 384 looks ahead
+START = (44 - 384) * STEP  # rad; step 384 points forward
 BEAM_TIME = 60.0 / 600.0 / 1024.0  # s; 600 rpm
-RANGE_MIN, RANGE_MAX = 0.02, 5.6  # m; below are error codes
+RANGE_MIN, RANGE_MAX = 0.02, 5.6  # m; smaller values are error codes
 _TURN = 1 << 32  # us; the clock wraps
 
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Where a line has the encoders and the first range; `right_sign` is that of its encoder."""
+    """Indices of the encoders and the first range in a line, and the sign of the right encoder."""
 
     left: int
     right: int
@@ -54,11 +53,11 @@ class TinySlam(TextSource):
 
     @classmethod
     def recognises(cls, path: Path) -> bool:
-        """Tell by the number of words, all of them numbers."""
+        """Recognise the format by the number of words, all of which are numbers."""
         return any(_is_record(line) for line in head(path)[:3])
 
     def _parts(self, rows: int) -> Iterator[list[Piece]]:
-        """Yield the rows of a block of lines: as a table, or one by one if any is not sound."""
+        """Yield the rows of a block of lines: as a table, or one by one if any is not valid."""
         del rows  # a block is small
         clock = Clock()
         for first, block in self._blocks(self.path):
@@ -86,7 +85,7 @@ class TinySlam(TextSource):
 
 
 class Clock:
-    """Unwraps a 32-bit count of microseconds: each count is the one nearest to that before."""
+    """Unwraps a 32-bit count of microseconds: each time is the one nearest to the previous time."""
 
     def __init__(self) -> None:
         self._time: int | None = None
@@ -101,7 +100,7 @@ class Clock:
 
 
 def _table(lines: Lines, first: int, clock: Clock) -> list[Piece]:
-    """Return the rows of lines that are all sound and of one layout; nothing if they are not."""
+    """Return the rows of lines that are all valid and of one layout; nothing otherwise."""
     words = lines.line(0).split()
     layout = LAYOUTS.get(len(words))
     if layout is None:
@@ -130,7 +129,7 @@ def _record(tokens: list[bytes], clock: Clock) -> tuple[WheelAngles, LaserScan]:
     if layout is None:
         raise MessageError(f"{len(tokens)} words instead of {' or '.join(map(str, LAYOUTS))}")
     left, right = float(tokens[layout.left]), float(tokens[layout.right]) * layout.right_sign
-    finite("encoder", left, right)
+    check_finite("encoder", left, right)
     ranges = numbers(tokens[layout.ranges : layout.ranges + BEAMS]) / 1000.0
     stamp = clock.seconds(int(tokens[0]))
     return WheelAngles(stamp, left, right), _scan(stamp, ranges)

@@ -1,7 +1,7 @@
-"""Frames in space as TF relates them, and where a laser is in the plane of the robot (REP 103, REP 105).
+"""Frames in space, as in TF, and the pose of a laser in the plane of the robot (REP 103, REP 105).
 
 A link is the pose of a child in its parent, `T_parent_child` (4, 4) in SE(3). Each frame has at most one
-parent, so the way between two frames is unique: up to the nearest frame above both, and down again.
+parent, so the chain between two frames is unique: up to their nearest common ancestor, and down again.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ import numpy as np
 from impslam.errors import MessageError
 from impslam.types import Array
 
-UNIT = 0.01
-"""How much the square of a quaternion's norm may differ from 1, as in tf2."""
+UNIT_TOLERANCE = 0.01
+"""Maximum difference of the square of a quaternion's norm from 1, as in tf2."""
 
 
 DIGITS = 9
-"""of a pose in m and rad: what products of rotations leave beyond them is not of the robot."""
+"""Decimal places of a pose in m and rad; beyond them there are only rounding errors."""
 
 
 class Link(NamedTuple):
@@ -37,7 +37,7 @@ class Planar(NamedTuple):
     ----------
     pose : (x, y, yaw) m, m, rad; yaw is the direction of the laser's x axis
     upside_down : whether its z axis points down
-    tilt : rad, between its plane and that of base
+    tilt : angle between its plane and that of base, rad
     """
 
     pose: tuple[float, float, float]
@@ -51,12 +51,12 @@ def rigid(translation: Array, quaternion: Array) -> Array:
     Raises
     ------
     MessageError
-        If a number is not finite, or the quaternion is not of unit length.
+        If a number is not finite, or the quaternion does not have unit length.
     """
     if not (np.isfinite(translation).all() and np.isfinite(quaternion).all()):
-        raise MessageError("it holds a number that is not finite")
+        raise MessageError("it contains a number that is not finite")
     length = math.hypot(*quaternion)
-    if abs(length * length - 1.0) > UNIT:
+    if abs(length * length - 1.0) > UNIT_TOLERANCE:
         raise MessageError(f"its quaternion has the length {length:.3g} instead of 1")
     x, y, z, w = quaternion / length
     T = np.eye(4)
@@ -70,7 +70,7 @@ def rigid(translation: Array, quaternion: Array) -> Array:
 
 
 def flattened(T_base_laser: Array) -> Planar:
-    """Return the pose in the plane of base of a laser that is in space at a transform (4, 4)."""
+    """Return the pose in the plane of base of a laser, given its transform (4, 4) in space."""
     R, (x, y, _) = T_base_laser[:3, :3], T_base_laser[:3, 3].tolist()
     yaw = math.atan2(R[1, 0], R[0, 0])
     tilt = math.atan2(math.hypot(R[0, 2], R[1, 2]), abs(R[2, 2]))
@@ -79,13 +79,13 @@ def flattened(T_base_laser: Array) -> Planar:
 
 
 class FrameTree:
-    """Frames by the links to their parents; of two parents of one frame, the first counts."""
+    """Frames with links to their parents; if a frame has several parents, the first counts."""
 
     def __init__(self) -> None:
         self._links: dict[str, Link] = {}
 
     def __contains__(self, frame: str) -> bool:
-        """Tell whether a frame has a parent or a child."""
+        """Return whether a frame has a parent or a child."""
         return frame in self._links or any(link.parent == frame for link in self._links.values())
 
     def get(self, child: str) -> Link | None:
@@ -93,7 +93,7 @@ class FrameTree:
         return self._links.get(child)
 
     def add(self, link: Link) -> bool:
-        """Set where a frame is in its parent; return whether it has no other parent yet."""
+        """Set the link of a frame, unless it has another parent; return whether it was set."""
         known = self._links.get(link.child)
         if known is not None and known.parent != link.parent:
             return False
@@ -101,13 +101,13 @@ class FrameTree:
         return True
 
     def copy(self) -> FrameTree:
-        """Return a tree that may change by itself."""
+        """Return a copy that can be changed independently."""
         tree = FrameTree()
         tree._links = dict(self._links)
         return tree
 
     def up(self, frame: str, top: str = "") -> list[Link]:
-        """Return the links from a frame up to a frame above it, or else to its root.
+        """Return the links from a frame up to the frame `top`, or else to the root.
 
         Raises
         ------
@@ -123,23 +123,23 @@ class FrameTree:
             frame = link.parent
         return links
 
-    def way(self, base: str, frame: str) -> tuple[Array, list[Link]]:
-        """Return `T_base_frame` (4, 4) and the links that it is made of.
+    def chain(self, base: str, frame: str) -> tuple[Array, list[Link]]:
+        """Return `T_base_frame` (4, 4) and the links that it consists of.
 
         Raises
         ------
         MessageError
-            If no links lead from one to the other, or they form a loop.
+            If the frames are not connected, or the links form a loop.
         """
         downs = self.up(frame, base)
         below = [frame, *(link.parent for link in downs)]
         ups = [] if below[-1] == base else self.up(base)
         above = [base, *(link.parent for link in ups)]
-        met = next((name for name in below if name in above), None)
-        if met is None:
+        ancestor = next((name for name in below if name in above), None)
+        if ancestor is None:
             ends = f"{frame} leads up to {below[-1]}, {base} to {above[-1]}"
             raise MessageError(f"no transforms lead from {base} to {frame} ({ends})")
-        ups, downs = ups[: above.index(met)], downs[: below.index(met)]
+        ups, downs = ups[: above.index(ancestor)], downs[: below.index(ancestor)]
         return np.linalg.inv(_product(ups)) @ _product(downs), ups + downs
 
 

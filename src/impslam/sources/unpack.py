@@ -1,4 +1,4 @@
-"""Unpacking within limits: a log of some kB may unpack to GB, which are never taken."""
+"""Unpacks data with size limits, since a log of some kB may unpack to GB."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ else:
     from backports import zstd  # which rosbags depends on
 
 UNIT_LIMIT = 64_000_000
-"""Bytes of what is unpacked at once: a chunk, a record or a message. Recorders end a chunk after 0.8
-to 4 MB and the message at hand, of which the largest, an uncompressed 4K picture, has 25 MB."""
+"""Maximum size of a unit that is unpacked at once (a chunk, a record or a message), bytes. Recorders end a
+chunk after 0.8 to 4 MB plus the current message; the largest, an uncompressed 4K picture, has 25 MB."""
 
 TOGETHER_LIMIT = 256_000_000
-"""Bytes of the chunks that are in memory together because their times overlap: 64 of 4 MB."""
+"""Maximum total size of chunks in memory at once because their times overlap, bytes: 64 of 4 MB."""
 
 
 class LimitError(SourceError):
-    """What a log holds is larger than is ever taken into memory."""
+    """A part of a log is larger than the limit for memory."""
 
 
 def check_size(what: str, size: int, limit: int = UNIT_LIMIT) -> None:
-    """Raise `LimitError` if something is larger than its limit."""
+    """Raise `LimitError` if `what` is larger than the limit."""
     if size > limit:
         raise LimitError(f"{what} of more than {limit / 1e6:.0f} MB")
 
 
 def unpack(make: Callable[[], Any], data: bytes, limit: int = UNIT_LIMIT) -> bytes:
-    """Return what one compressed stream after another holds; `make` a decompressor as of bz2.
+    """Unpack consecutive compressed streams; `make` returns a decompressor like that of bz2.
 
     Raises
     ------
@@ -74,7 +74,7 @@ def unpack_bz2(data: bytes, limit: int = UNIT_LIMIT) -> bytes:
 
 
 def check_unpacked(path: Path, limit: int) -> None:
-    """Raise `LimitError` if a file of zstd frames unpacks to more than the limit; nothing is kept."""
+    """Raise `LimitError` if a file of zstd frames unpacks to more than the limit."""
     size = 0
     with zstd.open(path, "rb") as file:
         while size <= limit and (part := file.read(1 << 20)):
@@ -83,11 +83,11 @@ def check_unpacked(path: Path, limit: int) -> None:
 
 
 def check_together(spans: Iterable[tuple[int, int, int]]) -> None:
-    """Raise `LimitError` if chunks (first stamp, last, bytes) need too much at one time."""
+    """Raise `LimitError` if chunks (first stamp, last stamp, bytes) need too much memory at once."""
     marks = []
     for first, last, size in spans:
         check_size("a chunk", size)
-        marks += [(first, 0, size), (max(first, last), 1, -size)]  # taken before others are let go
+        marks += [(first, 0, size), (max(first, last), 1, -size)]  # at a tie, count both chunks
     size = 0
     for _, _, change in sorted(marks):
         size += change

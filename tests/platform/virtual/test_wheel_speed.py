@@ -84,7 +84,7 @@ def test_a_stop_is_immediate_and_resets_the_controller():
     commands = []
 
     def note(body, time):
-        commands.append(body.told)
+        commands.append(body.commanded)
 
     driven((0.3, 0.3), note, seconds=1.0, stop=700)
     told = np.array(commands)

@@ -4,7 +4,7 @@ function go(k) {
   slider.value = row;
   const t = path.t[row] ?? 0;
   find(".clock").textContent = `${digits(t, 1)} s`;
-  find(".readout").textContent = count ? told(row).join("\n") : "";
+  find(".readout").textContent = count ? describeRow(row).join("\n") : "";
   find(".readout").className = `readout ${STATES[path.state[row] ?? 0]}`;
   for (const [plot, cursor] of cursors) {
     const [begin, end] = [plot.dataset.begin, plot.dataset.end].map((v) => v - scene.start);
@@ -13,7 +13,7 @@ function go(k) {
   }
   redraw();
 }
-/** Return the row that is nearest to a time. */
+/** Return the row nearest to a time. */
 function nearest(t) {
   let best = 0;
   for (let k = 1; k < count; k++) if (Math.abs(path.t[k] - t) < Math.abs(path.t[best] - t)) best = k;

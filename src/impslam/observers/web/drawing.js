@@ -1,4 +1,4 @@
-// Draws the map on its canvas. First, where things are.
+// Draws the map on its canvas. First, coordinates.
 const right = (x) => width / 2 + (x - view.x) * view.scale;
 const down = (y) => height / 2 - (y - view.y) * view.scale;
 const place = (x, y) => [view.x + (x - width / 2) / view.scale, view.y - (y - height / 2) / view.scale];
@@ -65,7 +65,7 @@ function draw() {
     const size = [picture.width, picture.height].map((side) => side * grid.cell * view.scale);
     context.drawImage(picture, right(grid.left), down(grid.top), ...size);
   }
-  rule();
+  drawRules();
   if (shown.odometry) line(path.ox, path.oy, 0, row, inks.odometry, 1.2);
   if (shown.walls) for (const mark of landmarks) if (mark.ends) wall(mark);
   if (shown.loops) drawLoops();
@@ -79,7 +79,7 @@ function draw() {
   if (shown.names) names();
   if (count) drawRobot();
 }
-function rule() {
+function drawRules() {
   const step = [1, 2, 5, 10].map((f) => f * 10 ** Math.floor(Math.log10(90 / view.scale))).find((s) => s * view.scale >= 60);
   const [left, top] = place(0, 0), [end, bottom] = place(width, height);
   context.font = "11px system-ui, sans-serif";
@@ -102,7 +102,7 @@ function stroke(places, ink) {
   for (const [x, y] of places) context.lineTo(x, y);
   context.stroke();
 }
-/** Draw rows of a line, parted between drives; `shade(k)` is the ink of the stretch that ends at row k. */
+/** Draw rows of a line, interrupted between drives; `shade(k)` is the colour of the segment that ends at row k. */
 function line(xs, ys, from, to, ink, wide, shade = () => ink) {
   context.lineWidth = wide;
   let [x, y, last, drive] = [NaN, NaN, null, -1];
@@ -137,7 +137,7 @@ function shading() {
     return Number.isNaN(share) ? inks.soft : scale(Math.round(share * SHADES) / SHADES);
   };
 }
-/** Return the least value, and one that 99 in 100 are below. */
+/** Return the minimum and the 99th percentile of a colouring, of times the maximum. */
 const ranges = {};
 function range(name) {
   if (!ranges[name]) {
@@ -228,7 +228,7 @@ function drawRobot() {
   context.restore();
 }
 
-// Colours come from the page, and change with its scheme; the grid is painted with them.
+// Colours come from the page's style sheet and change with its scheme; the grid is drawn in them.
 const source = new Image();
 function recolour() {
   const style = getComputedStyle(figure);

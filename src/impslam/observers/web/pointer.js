@@ -1,4 +1,4 @@
-// What the pointer does.
+// Pointer events.
 function zoom(factor, x = width / 2, y = height / 2) {
   const next = Math.min(Math.max(view.scale * factor, 0.2), 5000);
   if (mode === "fit") mode = "free";
@@ -34,7 +34,7 @@ function lift(event) {
   hover([x, y]);
   if (seen?.row !== undefined) go(seen.row);
 }
-/** Return the distance, px, of a place from the line between two others. */
+/** Return the distance, px, of a point from the line segment between two others. */
 function distance([x, y], [[ax, ay], [bx, by]]) {
   const [dx, dy] = [bx - ax, by - ay];
   const share = Math.min(Math.max(((x - ax) * dx + (y - ay) * dy) / (dx * dx + dy * dy || 1), 0), 1);
@@ -42,7 +42,7 @@ function distance([x, y], [[ax, ay], [bx, by]]) {
 }
 function hover(here) {
   seen = null;
-  let least = NEAR;
+  let least = PICK_RADIUS;
   const offer = (far, what) => { if (far < least) [least, seen] = [far, what()]; };
   if (shown.walls) for (const mark of landmarks) if (mark.ends)
     offer(distance(here, mark.ends.map(([x, y]) => [right(x), down(y)])) + 3, () => ({ mark }));
@@ -58,15 +58,15 @@ function show([x, y]) {
   const box = find(".tip");
   box.hidden = !seen;
   if (seen) {
-    box.textContent = words(seen).join("\n");
+    box.textContent = describe(seen).join("\n");
     box.style.left = `${Math.min(x + 14, width - box.offsetWidth - 6)}px`;
     box.style.top = `${y + 18 + box.offsetHeight > height ? y - box.offsetHeight - 12 : y + 18}px`;
   }
   canvas.style.cursor = seen?.row !== undefined ? "pointer" : "grab";
   redraw();
 }
-function words({ mark, loop, row: k }) {
-  if (k !== undefined) return told(k);
+function describe({ mark, loop, row: k }) {
+  if (k !== undefined) return describeRow(k);
   if (loop !== undefined) {
     const times = [loops.ti[loop], loops.tj[loop]].map((t) => `${digits(t, 1)} s`);
     return [`Loop between ${times.join(" and ")}`, `NIS ${digits(loops.nis[loop], 2)} with 3 degrees of freedom`];

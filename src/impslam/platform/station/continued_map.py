@@ -10,6 +10,7 @@ import numpy as np
 from impslam.config import Config, load
 from impslam.continuing import Known
 from impslam.map import Map
+from impslam.open_log import for_continuing
 from impslam.platform.station.map_store import FILE
 from impslam.types import Array
 

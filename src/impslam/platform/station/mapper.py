@@ -14,7 +14,7 @@ from impslam.errors import ImpError
 from impslam.map import Map
 from impslam.observers.base import Outcome
 from impslam.observers.live_view import LiveView
-from impslam.observers.recorder import Truth
+from impslam.observers.recorder import TruthRecorder
 from impslam.observers.run_folder import write_run
 from impslam.platform.devices.base import now
 from impslam.platform.station.continued_map import ContinuedMap
@@ -155,7 +155,7 @@ class _Mapping:
     ) -> None:
         self._config = config if continued is None else continued.config
         self._view, self._prepare, self._previous = view, prepare, before
-        self._truth, self.continued = Truth(), continued
+        self._truth, self.continued = TruthRecorder(), continued
         known = None if continued is None else continued.known
         self.run = Run(self._config, [self._truth, view], known)
         robot = self.run.robot
@@ -311,7 +311,7 @@ class _Mapping:
         ):
             return
         if (path := self.run.dead_reckoned()) is not None:
-            self._view.carry(path, silent)
+            self._view.show_dead_reckoned(path, silent)
             self._dead_reckoned_at = moment
 
     def _feed(self, message: Message, arrived: float) -> None:

@@ -17,7 +17,7 @@ from impslam.errors import ImpError
 from impslam.paths import numbered
 from impslam.platform.devices.base import Reading
 from impslam.platform.station.recorder_thread import Recording, RecordingError, disk_error
-from impslam.sources.live_recording import TakenError
+from impslam.sources.live_recording import LogExistsError
 
 MAX_NAME_LENGTH = 60  # characters; file systems allow 255 bytes with date, number and suffix
 SAMPLE_INTERVAL = 1.0  # s between queries of the free disk space
@@ -167,7 +167,7 @@ class LogRecorder:
                     "on the disk; delete logs and empty the recycle bin"
                 )
             for path in self._paths(name):
-                with suppress(TakenError):  # another recorder has just taken this name
+                with suppress(LogExistsError):  # another recorder has just taken this name
                     return Recording(path, self._preset, self._free_above_floor, self._notify)
             raise AssertionError("names never end")
         except OSError as error:

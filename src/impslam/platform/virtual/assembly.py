@@ -96,7 +96,7 @@ def _controller(setup: Setup, body: Body) -> SpeedController | None:
             feedback=2.0 * train.time_constant,
             top_speed=train.top_speed,
             acceleration=train.acceleration,
-            skid=1.0 / train.kept,
+            skid=1.0 / train.turn_efficiency,
         )
     )
 

@@ -54,7 +54,7 @@ class VirtualImp:
         self._ports = {name: line.url for name, line in self._lines.items()}
         self._blocked: dict[str, float] = {}
         self._commands: deque[tuple[float, float, float]] = deque(maxlen=MAX_COMMANDS)
-        self._last_command = body.told
+        self._last_command = body.commanded
         self._origin, self._now = time.monotonic(), body.time
         self._lateness = np.zeros(MAX_PASSES)
         self._passes = self._late = 0
@@ -119,7 +119,7 @@ class VirtualImp:
         autopilot = self._emulators.get("autopilot")
         if isinstance(autopilot, AutopilotEmulator):
             return np.array(autopilot.commanded)
-        return self.body.told
+        return self.body.commanded
 
     def _record_lateness(self, lateness: float) -> None:
         self._lateness[self._passes % MAX_PASSES] = lateness

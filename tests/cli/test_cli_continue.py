@@ -1,4 +1,4 @@
-"""`imp run LOG --map FILE`: what it goes on with, and what it refuses."""
+"""`imp run LOG --map FILE`: which maps it continues, and which it rejects."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def done(room, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_a_log_that_is_in_the_map_is_refused(imp, room, done, tmp_path) -> None:
+def test_a_log_that_is_already_in_the_map_is_rejected(imp, room, done, tmp_path) -> None:
     said = imp("run", room, *GRAPH, "--map", done / "map.imp", "-o", tmp_path / "again")
     assert said.code == 2
     assert "all of its 100 scans are in the map already" in said.err
@@ -42,13 +42,13 @@ def test_a_log_that_is_not_found_in_a_frozen_map_is_an_error(imp, room, done, tm
         (["--frozen"], "--frozen and --start need a map; give one with --map FILE"),
         (["--start", "1,2"], "give one with --map FILE"),
         (["--map", "gone.imp"], "gone.imp: no such file"),
-        (["--map", "MAP", "--start", "1"], "--start 1: is no place; give x,y in m"),
-        (["--map", "MAP", "--start", "1,nan"], "--start 1,nan: is no place"),
+        (["--map", "MAP", "--start", "1"], "--start 1: not a pose; give x,y"),
+        (["--map", "MAP", "--start", "1,nan"], "--start 1,nan: not a pose"),
         (["--map", "MAP", "--live"], "leave out --live or --map"),
         (["--map", "MAP", "--set", "estimator.kind=landmarks"], "cannot continue a map"),
     ],
 )
-def test_what_cannot_be_begun_with_is_told(imp, room, done, tmp_path, words, said) -> None:
+def test_an_unusable_map_or_start_is_rejected(imp, room, done, tmp_path, words, said) -> None:
     given = [str(done / "map.imp") if word == "MAP" else word for word in words]
     ended = imp("run", room, *given, "-o", tmp_path / "none")
     assert ended.code == 2
@@ -57,7 +57,7 @@ def test_what_cannot_be_begun_with_is_told(imp, room, done, tmp_path, words, sai
     assert not (tmp_path / "none").exists()
 
 
-def test_the_map_tells_its_logs(done) -> None:
+def test_the_map_lists_its_logs(done) -> None:
     (log,) = Map.load(done / "map.imp").about["logs"]
     sha256 = json.loads((done / "summary.json").read_text())["log"]["sha256"]
     assert log == {"log": "room.mcap", "log_sha256": sha256, "scans": 100}

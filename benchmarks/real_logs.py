@@ -18,7 +18,7 @@ from impslam.columns import messages
 from impslam.evaluation.landmarks import LandmarkScore, score_landmarks
 from impslam.evaluation.relations import RelationErrors, read_relations, relation_errors
 from impslam.evaluation.trajectory import Statistics, align, associate, ate
-from impslam.geometry.se2 import inverse, transform
+from impslam.geometry.se2 import between, compose, inverse, transform
 from impslam.map import Keyframe, Map, PathRows, Revision, Track
 from impslam.observers.base import Observer, Outcome
 from impslam.open_log import open_log
@@ -50,13 +50,6 @@ class Run(Observer):
     def finish(self, known: Map, outcome: Outcome) -> None:
         """Store the map and the outcome."""
         self.known, self.outcome = known, outcome
-
-    @property
-    def walls(self) -> dict[int, list[Array]]:
-        """Ends of the observed walls, in the final map, by the number of the scan."""
-        assert self.known is not None
-        placed = zip(self.known.keyframes.poses, self.ends, strict=True)
-        return {scan: [transform(pose, e) for e in ends] for pose, (scan, ends) in placed}
 
     @property
     def path(self) -> Array:
@@ -193,9 +186,34 @@ MAX_OFFSET = 0.6  # m: closer parallel walls are assumed to be the same
 MIN_COMMON = 0.2  # m of a wall that both laps must show
 MIN_LENGTH = 0.5  # m; shorter pieces may be the sides of things
 MIN_SCAN_GAP = 4  # scans; closer ones are from the same place
+NEARLY_ALL = ("keyframes.distance=0.05", "keyframes.angle=0.02")
+"""Settings with which nearly every scan of a moving robot is a keyframe."""
 
 
-def lap_offsets(seen: Run, first: int, second: int) -> Array:
+@dataclass
+class Laps:
+    """Walls seen in nearly all scans of a log, in the map of a run."""
+
+    walls: dict[int, list[Array]]
+
+
+def laps(log: Path, seen: Run) -> Laps:
+    """Return the walls of nearly all scans of a log, also of those that are no keyframes of the run.
+
+    The walls are found by a second run, and placed by the final path of `seen`.
+    """
+    every = run_log(log, settings=NEARLY_ALL)
+    assert every.known is not None
+    keyframes = every.known.keyframes
+    # A keyframe is at the middle of its sweep, a row of the path at the stamp of the log.
+    rows = np.abs(keyframes.stamps[:, None] - every.path[:, 0]).argmin(axis=1)
+    within = between(every.path[rows, 1:], keyframes.poses)
+    poses = compose(seen.path[rows, 1:], within)
+    placed = zip(poses, every.ends, strict=True)
+    return Laps({k: [transform(pose, e) for e in ends] for pose, (k, ends) in placed})
+
+
+def lap_offsets(seen: Laps, first: int, second: int) -> Array:
     """Return the distances of long walls seen from scan `second` on from those seen before `first`, m.
 
     For each wall of the second lap, the median over all walls of the first lap that run beside it,
@@ -206,7 +224,7 @@ def lap_offsets(seen: Run, first: int, second: int) -> Array:
     return _all_apart((wall, before) for k, wall in long if k >= second)
 
 
-def same_lap_offsets(seen: Run, first: int, second: int) -> Array:
+def same_lap_offsets(seen: Laps, first: int, second: int) -> Array:
     """Return the same for walls of one lap against those seen in other scans of this lap, m.
 
     Scans fewer than `MIN_SCAN_GAP` apart are left out. What is seen within a lap has hardly any drift:
@@ -221,7 +239,7 @@ def same_lap_offsets(seen: Run, first: int, second: int) -> Array:
     )
 
 
-def _long_walls(seen: Run) -> list[tuple[int, Array]]:
+def _long_walls(seen: Laps) -> list[tuple[int, Array]]:
     return [(k, w) for k, walls in seen.walls.items() for w in walls if _length(w) > MIN_LENGTH]
 
 

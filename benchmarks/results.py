@@ -109,18 +109,20 @@ def rover(name: str) -> Callable[[Path], str]:
     """Return the job of a log of the Mines rover."""
 
     def job(data: Path) -> str:
-        seen = real_logs.run_log(data / "urg04lx-encoders" / f"{name}.dat", folder=RUNS / name)
+        log = data / "urg04lx-encoders" / f"{name}.dat"
+        seen = real_logs.run_log(log, folder=RUNS / name)
         picture(name, RUNS / name)
-        said = f"{len(seen.path)} scans, {len(seen.landmarks)} landmarks"
-        offsets = real_logs.lap_offsets(seen, 300, 355)
-        if name == "exp1" and len(offsets):
+        result = f"{len(seen.path)} scans, {len(seen.landmarks)} landmarks"
+        if name == "exp1":
+            laps = real_logs.laps(log, seen)
+            offsets = real_logs.lap_offsets(laps, 300, 355)
             p50, p90 = np.percentile(offsets, (50, 90))
-            same = np.percentile(real_logs.same_lap_offsets(seen, 300, 355), 90)
-            said += (
+            same = np.percentile(real_logs.same_lap_offsets(laps, 300, 355), 90)
+            result += (
                 f"; walls of the second lap from those of the first: median {cm(p50)}, "
                 f"90 % within {cm(p90)} ({len(offsets)} walls); of the same lap: {cm(same)}"
             )
-        return f"{said}; {seen.speed:.0f} times real time"
+        return f"{result}; {seen.speed:.0f} times real time"
 
     return job
 

@@ -30,7 +30,7 @@ from impslam.calibration.least_squares import Prior, solve  # noqa: E402
 from impslam.calibration.noise import MATCHING, scan_covariances, unit_covariances  # noqa: E402
 from impslam.calibration.odometry_models import DifferentialDrive, motion  # noqa: E402
 from impslam.calibration.recording import record_batches  # noqa: E402
-from impslam.calibration.residuals import LIDAR_PARAMETERS, Drive, residuals  # noqa: E402
+from impslam.calibration.residuals import LIDAR_PARAMETERS, CalibrationDrive, residuals  # noqa: E402
 from impslam.calibration.scan_pairs import LidarMotions  # noqa: E402
 from impslam.calibration.umbmark import corrected, umbmark  # noqa: E402
 from impslam.columns import batches  # noqa: E402
@@ -106,7 +106,7 @@ def _one(robot: SimulatedRobot, seed: int) -> tuple[Array, Array, Array, float]:
     )
 
 
-def bound_of(drives: list[Drive], true: Array, noise: float) -> Array:
+def bound_of(drives: list[CalibrationDrive], true: Array, noise: float) -> Array:
     """Return the Cramér-Rao bound (8,) for the lidar's motions, with the scans' own covariances."""
     H = np.zeros((8, 8))
     for drive in drives:
@@ -160,7 +160,7 @@ def of_tuples(file: Path) -> tuple[Array, Array]:
     seconds, left, right, moved = (np.array(column) for column in zip(*_tuples(file), strict=True))
     stamps = np.concatenate(([0.0], np.cumsum(seconds)))
     model = DifferentialDrive(stamps, np.zeros(len(left), bool), left * seconds, right * seconds)
-    drive = Drive(model, exact_motions(stamps[:-1], stamps[1:], moved))
+    drive = CalibrationDrive(model, exact_motions(stamps[:-1], stamps[1:], moved))
     start = np.array([0.04, 1.0, 0.09, 0, 0, 0, 0, 0, 1.0])
     first = initial_estimate([drive], 0.0)
     assert first is not None
@@ -244,7 +244,9 @@ def _fit(logs: list[tuple[DifferentialDrive, Array]], values: Array) -> Array:
     for model, truth in logs:
         begins = np.arange(20, len(truth) - 101, 81)
         moved = between(truth[begins, 1:], truth[begins + 80, 1:])
-        drives.append(Drive(model, exact_motions(truth[begins, 0], truth[begins + 80, 0], moved)))
+        drives.append(
+            CalibrationDrive(model, exact_motions(truth[begins, 0], truth[begins + 80, 0], moved))
+        )
     start = np.array([*values, 0, 0, 0, 0, 0, 1.0])
     wide = Prior(start, np.array([0.1, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0]))
     return solve(drives, start, np.arange(9) < 7, wide).parameters[:3]

@@ -24,7 +24,7 @@ import numpy as np
 from impslam.evaluation.relations import read_relations, relation_errors
 from impslam.map import Keyframes, Map
 from impslam.maps.merge import merged
-from impslam.maps.relation import Outcome, align_maps
+from impslam.maps.relation import RelationStatus, align_maps
 from impslam.run import run
 from impslam.types import Ints
 
@@ -124,12 +124,12 @@ def refusals(maps: dict[str, Map], tries: int, seed: int = 1) -> None:
         seconds.append(time.process_time() - begin)
         counts[alike, found.outcome.value] += 1
         print(f"\r{counts.total()} of {tries} tries", end="", file=sys.stderr)
-        if found.outcome is not Outcome.APART:
+        if found.outcome is not RelationStatus.APART:
             print(f"  {one.name}, {other.name}: {found.outcome.value}, {found.words}", flush=True)
     print("\n| parts without a common place | tries | found | ambiguous | apart | CPU s, median |")
     print("|---|---|---|---|---|---|")
     for alike, words in ((True, "of one building"), (False, "of two buildings")):
-        totals = [counts[alike, outcome.value] for outcome in Outcome]
+        totals = [counts[alike, outcome.value] for outcome in RelationStatus]
         print(
             "|",
             " | ".join(map(str, (words, sum(totals), *totals, f"{np.median(seconds):.1f}"))),

@@ -32,7 +32,7 @@ from impslam.evaluation.fixes import plausible  # noqa: E402
 from impslam.evaluation.landmarks import LandmarkScore, score_landmarks  # noqa: E402
 from impslam.evaluation.plots import style  # noqa: E402
 from impslam.evaluation.trajectory import (  # noqa: E402
-    Pairs,
+    PosePairs,
     align,
     associate,
     move,
@@ -98,7 +98,7 @@ def _fit(path: Array, fixes: Array) -> tuple[Array, Array, Array]:
     The path is interpolated to the fixes, not they to it: between fixes that jump there is nothing.
     """
     pairs = associate(fixes, path, slack=0.0)
-    pairs = Pairs(pairs.stamps, pairs.truth, pairs.estimate)
+    pairs = PosePairs(pairs.stamps, pairs.truth, pairs.estimate)
     T_gps_map = align(pairs.estimate[:, :2], pairs.truth[:, :2])
     moved = move(T_gps_map, path[:, 1:])[:, :2]
     return moved, position_errors(pairs.moved(T_gps_map)), T_gps_map

@@ -27,7 +27,7 @@ from impslam.platform.devices.base import Device, DriveDevice, Reading
 from impslam.platform.virtual.autopilot import AutopilotEmulator
 from impslam.platform.virtual.process import VirtualRobot
 from impslam.simulation.body import Body
-from impslam.simulation.body_lidar import Sweeps
+from impslam.simulation.body_lidar import LidarSweeps
 from impslam.simulation.world import load_world
 
 WORLD = "arena"
@@ -44,7 +44,7 @@ def parts() -> None:
     body = Body(load_world(WORLD))
     body.drive(0.05, 0.15)
     body.advance(1.0)
-    sweeps, autopilot = Sweeps(body), AutopilotEmulator(body)
+    sweeps, autopilot = LidarSweeps(body), AutopilotEmulator(body)
     sweeps.ranges(0.5)
     autopilot.due(1.0)
 

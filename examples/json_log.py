@@ -16,7 +16,7 @@ import numpy as np
 from impslam.component import register
 from impslam.errors import MessageError
 from impslam.sources.base import Stream
-from impslam.sources.parts import Located
+from impslam.sources.parts import LocatedMessage
 from impslam.sources.text import TextSource, check_finite, head
 from impslam.types import LaserScan, WheelAngles
 
@@ -35,7 +35,7 @@ class JsonLines(TextSource):
         lines = head(path)
         return bool(lines) and lines[0].startswith(START)
 
-    def _messages(self) -> Iterator[Located]:
+    def _messages(self) -> Iterator[LocatedMessage]:
         """Yield the wheels' reading before the scan that was taken with it."""
         for number, line in self._lines(self.path):
             try:
@@ -47,8 +47,10 @@ class JsonLines(TextSource):
                 self._reject("row", self.path, number, error)
                 continue
             angles = np.linspace(-math.pi / 2, math.pi / 2, len(ranges))
-            yield Located(WheelAngles(stamp, left, right), number, "wheels", checked=False)
-            yield Located(LaserScan(stamp, angles, ranges, np.zeros(len(ranges))), number, "scan")
+            yield LocatedMessage(WheelAngles(stamp, left, right), number, "wheels", checked=False)
+            yield LocatedMessage(
+                LaserScan(stamp, angles, ranges, np.zeros(len(ranges))), number, "scan"
+            )
 
     def streams(self) -> list[Stream]:
         """Return wheels and scans, one of each a row."""

@@ -10,7 +10,7 @@ from impslam.simulation.robot import Lidar, SimulatedRobot, WheelEncoders
 from impslam.simulation.simulate import simulate
 from impslam.simulation.world import World
 from impslam.sources.base import Source, Stream
-from impslam.sources.parts import Located
+from impslam.sources.parts import LocatedMessage
 from impslam.types import Message
 
 
@@ -39,9 +39,9 @@ class Played(Source):
     def __exit__(self, *_: object) -> None:
         return None
 
-    def _messages(self) -> Iterator[Located]:
+    def _messages(self) -> Iterator[LocatedMessage]:
         for i, message in enumerate(self._list):
-            yield Located(message, i, type(message).__name__)
+            yield LocatedMessage(message, i, type(message).__name__)
 
     def streams(self) -> list[Stream]:
         """Return nothing; nobody asks."""

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from impslam.geometry import se2
-from impslam.graph.bearings import Scans
+from impslam.graph.bearings import ScanFeatures
 from impslam.surfaces.features import beam_spacing, find_features
 
 
@@ -76,11 +76,11 @@ def features_at(pose, mount=FRONT, noise=None, thin=0.04):
 
 
 def scans_at(poses, mount=FRONT, noise=None):
-    """Return `Scans` from poses (k, 3); `noise` (k, n) m."""
+    """Return `ScanFeatures` from poses (k, 3); `noise` (k, n) m."""
     noise = [None] * len(poses) if noise is None else noise
     rows = [features_at(pose, mount, e) for pose, e in zip(poses, noise, strict=True)]
     starts = np.concatenate([[0], np.cumsum([len(r) for r in rows])])
-    return Scans(np.concatenate(rows), starts, np.array(mount.pose[:2]))
+    return ScanFeatures(np.concatenate(rows), starts, np.array(mount.pose[:2]))
 
 
 def drive():

@@ -32,7 +32,7 @@ _NO_SCANS = "a pose graph has no scans to localise in; give the grid (map.yaml),
 Cells = npt.NDArray[np.uint8]
 
 
-class Grid(NamedTuple):
+class ImportedGrid(NamedTuple):
     """Cells (rows, columns) from the lowest y on; `origin` (3,) is the pose of their corner in map."""
 
     cells: Cells
@@ -55,7 +55,7 @@ def load_map(path: Path) -> Map:
     return Map.load(path)
 
 
-def read_grid(path: Path) -> Grid:
+def read_grid(path: Path) -> ImportedGrid:
     """Return the grid of a map_server map, given its yaml file or the image beside it."""
     yaml = path if path.suffix.lower() in {".yaml", ".yml"} else path.with_suffix(".yaml")
     try:
@@ -87,7 +87,7 @@ def _darkness(image: Path, *, negated: bool) -> Array:
     return np.asarray(bright if negated else 1.0 - bright)
 
 
-def _grid(header: dict[str, str], darkness: Array) -> Grid:
+def _grid(header: dict[str, str], darkness: Array) -> ImportedGrid:
     """Return the trinary grid of a map_server map: free, occupied, else unknown."""
     if header.get("mode", "trinary") == "raw":
         raise ValueError("its mode is raw, not trinary or scale")
@@ -98,10 +98,10 @@ def _grid(header: dict[str, str], darkness: Array) -> Grid:
     cells = np.full(darkness.shape, UNKNOWN, np.uint8)
     cells[darkness < float(header.get("free_thresh", FREE_BELOW))] = FREE
     cells[darkness > float(header.get("occupied_thresh", OCCUPIED_ABOVE))] = OCCUPIED
-    return Grid(cells, resolution, np.array([x, y, yaw]))
+    return ImportedGrid(cells, resolution, np.array([x, y, yaw]))
 
 
-def grid_map(grid: Grid, name: str) -> Map:
+def grid_map(grid: ImportedGrid, name: str) -> Map:
     """Return a map whose keyframes see the walls of a grid; raise `ImpError` if there are none."""
     positions = _keyframe_positions(grid)
     if len(positions) == 0 or not (grid.cells == OCCUPIED).any():
@@ -128,7 +128,7 @@ def grid_map(grid: Grid, name: str) -> Map:
     return Map(keyframes, (), none, anchors, *tracks, about={"log": name})
 
 
-def _keyframe_positions(grid: Grid) -> Array:
+def _keyframe_positions(grid: ImportedGrid) -> Array:
     """Return positions (k, 2) m in the grid's frame, covering its free space, each near the previous."""
     from scipy.ndimage import distance_transform_edt  # noqa: PLC0415  slow to import
 

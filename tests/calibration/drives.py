@@ -3,7 +3,7 @@
 import numpy as np
 
 from impslam.calibration.odometry_models import DifferentialDrive, ScaledTwists
-from impslam.calibration.residuals import Drive, lidar_poses
+from impslam.calibration.residuals import CalibrationDrive, lidar_poses
 from impslam.calibration.scan_pairs import LidarMotions
 from impslam.geometry.se2 import between
 
@@ -55,14 +55,16 @@ def drive(exact, read=None, true=TRUE, rng=None):
     """Return a drive; with a generator, the lidar's motions have errors of `MATCH`."""
     begins = np.arange(1.0, exact.stamps[-1] - 2.0, SPAN + 0.02)
     ends = begins + SPAN
-    poses = lidar_poses(Drive(exact, none()), true, np.concatenate(([0.5], begins, ends)))
+    poses = lidar_poses(
+        CalibrationDrive(exact, none()), true, np.concatenate(([0.5], begins, ends))
+    )
     moved = between(poses[1 : len(begins) + 1], poses[len(begins) + 1 :])
     joint = np.column_stack((moved, np.zeros(len(moved))))
     if rng is not None:
         joint = joint + rng.normal(0.0, MATCH, joint.shape)
     information = np.tile(np.diag(MATCH**-2.0), (len(moved), 1, 1))
     one = np.ones(len(moved))
-    return Drive(
+    return CalibrationDrive(
         read or exact, LidarMotions(begins, ends, joint[:, :3], joint, information, one, one)
     )
 

@@ -6,7 +6,7 @@ from tests.calibration.drives import SCALES, TRUE, drive, none, twists, wheels
 
 from impslam.calibration.closed_form import initial_estimate
 from impslam.calibration.odometry_models import DifferentialDrive
-from impslam.calibration.residuals import Drive
+from impslam.calibration.residuals import CalibrationDrive
 
 
 @pytest.mark.parametrize("yaw", [0.0, np.pi / 2, 3.0, -2.0])
@@ -31,7 +31,7 @@ def test_bad_matches_are_downweighted(rng):
 
 
 def test_no_estimate_without_motion():
-    assert initial_estimate([Drive(wheels(10.0)[0], none())], 0.0) is None
+    assert initial_estimate([CalibrationDrive(wheels(10.0)[0], none())], 0.0) is None
 
 
 def test_few_turns_give_the_latency(rng):

@@ -14,7 +14,7 @@ from impslam.estimators.loop_closing import (
 from impslam.estimators.pose_graph import PoseGraph
 from impslam.geometry.se2 import between
 from impslam.recognition.places import Closure
-from impslam.recognition.verify import Support, Verdict
+from impslam.recognition.verify import ClosureStrength, Support
 
 TRUTH = way(*LAP, (12.0, 1.25))
 DRIFT = (0.0, 0.0, 0.003)
@@ -35,7 +35,7 @@ def lap(n=20):
     return graph
 
 
-def found(graph, j, verdict=Verdict.STRONG, off=(0.0, 0.0, 0.0), n=20):
+def found(graph, j, verdict=ClosureStrength.STRONG, off=(0.0, 0.0, 0.0), n=20):
     """Return a closure of node j with the one a lap before, which lies at the same place."""
     support = Support(0.8, 0.9, 0.9, 500)
     pose = np.array(off, float)
@@ -62,7 +62,9 @@ def test_a_strong_closure_from_a_narrow_window_is_accepted_immediately():
 
 def test_a_weak_closure_from_a_narrow_window_is_dropped():
     """Alignment that hardly fits where it must is no place, and no other will speak for it."""
-    graph, closer, _ = taken(NARROW, (20, Verdict.WEAK), (21, Verdict.WEAK), (22, Verdict.WEAK))
+    graph, closer, _ = taken(
+        NARROW, (20, ClosureStrength.WEAK), (21, ClosureStrength.WEAK), (22, ClosureStrength.WEAK)
+    )
     assert graph.closures == 0
     assert closer._pending == []
 
@@ -77,10 +79,10 @@ def test_a_closure_from_a_wide_window_is_pending():
 @pytest.mark.parametrize(
     "verdicts",
     [
-        (Verdict.STRONG, Verdict.STRONG),
-        (Verdict.STRONG, Verdict.WEAK),
-        (Verdict.WEAK, Verdict.STRONG),
-        (Verdict.WEAK, Verdict.WEAK, Verdict.WEAK),
+        (ClosureStrength.STRONG, ClosureStrength.STRONG),
+        (ClosureStrength.STRONG, ClosureStrength.WEAK),
+        (ClosureStrength.WEAK, ClosureStrength.STRONG),
+        (ClosureStrength.WEAK, ClosureStrength.WEAK, ClosureStrength.WEAK),
     ],
 )
 def test_a_strong_and_another_or_three_weak_closures_are_accepted(verdicts):
@@ -97,7 +99,7 @@ def test_a_strong_and_another_or_three_weak_closures_are_accepted(verdicts):
     "off", [(1.0, 0.0, 0.0), (0.0, -0.6, 0.0), (0.0, 0.0, 0.2), (2.5, 0.0, 0.3)]
 )
 def test_inconsistent_closures_stay_pending(off):
-    graph, closer, _ = taken(WIDE, (20, Verdict.STRONG), (21, Verdict.STRONG, off))
+    graph, closer, _ = taken(WIDE, (20, ClosureStrength.STRONG), (21, ClosureStrength.STRONG, off))
     assert graph.closures == 0
     assert len(closer._pending) == 2
     # A third one that agrees with the first is believed with it; the one between is forgotten.
@@ -115,7 +117,9 @@ def test_an_old_pending_closure_is_discarded():
 
 
 def test_closures_trigger_a_solution_where_the_graph_was_wrong():
-    _, _, told = taken(WIDE, (20, Verdict.STRONG, (0.3, 0, 0)), (21, Verdict.STRONG, (0.3, 0, 0)))
+    _, _, told = taken(
+        WIDE, (20, ClosureStrength.STRONG, (0.3, 0, 0)), (21, ClosureStrength.STRONG, (0.3, 0, 0))
+    )
     assert told == [False, True]
 
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from impslam.errors import ImpError
 from impslam.evaluation.trajectory import (
-    Pairs,
+    PosePairs,
     align,
     associate,
     ate,
@@ -120,11 +120,11 @@ def test_relative_error_of_a_scaled_path():
     x = np.linspace(0.0, 10.0, 101)
     truth = np.c_[x, np.zeros((101, 2))]
     estimate = truth * [1.02, 1.0, 1.0]
-    metres, radians = rpe(Pairs(x, estimate, truth), 1.0)
+    metres, radians = rpe(PosePairs(x, estimate, truth), 1.0)
     assert metres.count == 91
     assert metres.rmse == pytest.approx(0.02)
     assert radians.max == 0.0
-    assert rpe(Pairs(x, estimate, truth), 2.0, "s")[0].max == pytest.approx(0.04)
+    assert rpe(PosePairs(x, estimate, truth), 2.0, "s")[0].max == pytest.approx(0.04)
 
 
 @settings(deadline=None)  # compiles
@@ -133,15 +133,15 @@ def test_relative_error_does_not_depend_on_the_frame(T):
     truth = circle()[:, 1:]
     estimate = truth + [0.01, -0.02, 0.03] * np.sin(np.arange(100.0))[:, None]
     stamps = circle()[:, 0]
-    here = rpe(Pairs(stamps, estimate, truth), 1.0)
-    there = rpe(Pairs(stamps, estimate, truth).moved(T), 1.0)
+    here = rpe(PosePairs(stamps, estimate, truth), 1.0)
+    there = rpe(PosePairs(stamps, estimate, truth).moved(T), 1.0)
     assert here[0].rmse == pytest.approx(there[0].rmse, rel=1e-6)
 
 
 @pytest.mark.parametrize(("delta", "unit"), [(1e6, "m"), (0.0, "s"), (1.0, "km")])
 def test_stretches_that_cannot_be_are_one_line(delta, unit):
     with pytest.raises(ImpError, match="rpe over"):
-        rpe(Pairs(circle()[:, 0], circle()[:, 1:], circle()[:, 1:]), delta, unit)
+        rpe(PosePairs(circle()[:, 0], circle()[:, 1:], circle()[:, 1:]), delta, unit)
 
 
 def positions(rows):

@@ -5,12 +5,12 @@ from tests.rooms import FRONT, MOUNTS, drive, scans_at
 from impslam.errors import ShapeError
 from impslam.geometry import se2
 from impslam.geometry.angles import wrap
-from impslam.graph.bearings import Scans, sort_by_bearing
+from impslam.graph.bearings import ScanFeatures, sort_by_bearing
 from impslam.graph.block_system import empty_system
 from impslam.graph.bundle import (
     Edges,
-    Fit,
     Refinement,
+    RefinementSettings,
     linearise,
     linearise_pair,
     pair_edges,
@@ -19,7 +19,7 @@ from impslam.graph.bundle import (
 from impslam.graph.overlaps import Nearness, overlaps
 from impslam.graph.solve import marginals
 
-PRECISE = Fit(rounds=6)
+PRECISE = RefinementSettings(rounds=6)
 
 
 def chain(poses, sigmas=(0.05, 0.05, 0.02)):
@@ -134,7 +134,7 @@ def test_a_keyframe_without_overlap_moves_by_its_edge_alone():
     T = np.array([30.0, 5.0, 0.4])
     guess = perturbed(truth)
     guess = np.vstack([guess, se2.compose(guess[-1], T) + np.array([0.3, -0.2, 0.05])])
-    scans = Scans(scans.features, np.append(scans.starts, scans.starts[-1]), scans.lasers)
+    scans = ScanFeatures(scans.features, np.append(scans.starts, scans.starts[-1]), scans.lasers)
     some = chain(guess[:k])
     edges = Edges(
         np.append(some.i, k - 1), np.append(some.j, k), np.vstack([some.T_i_j, T]),
@@ -164,7 +164,7 @@ def test_keyframes_that_are_fixed_stay():
 def test_nothing_or_one_keyframe_comes_back_as_it_is():
     no, none = np.empty(0, np.int64), np.empty((0, 2), np.int64)
     empty = Edges(no, no, np.empty((0, 3)), np.empty((0, 3, 3)), np.empty(0))
-    scans = Scans(np.empty((0, 5), np.float32), np.zeros(1, np.int64), np.zeros(2))
+    scans = ScanFeatures(np.empty((0, 5), np.float32), np.zeros(1, np.int64), np.zeros(2))
     assert refine(np.empty((0, 3)), scans, empty, none).poses.shape == (0, 3)
     one = refine(drive()[:1], scans_at(drive()[:1]), empty, none)
     assert one.poses.tobytes() == drive()[:1].tobytes()
@@ -184,7 +184,7 @@ def test_runs_are_the_same_to_the_byte():
 def test_the_gradient_vanishes_at_the_end():
     truth = drive()
     guess, scans = perturbed(truth), scans_at(truth)
-    fit, edges, pairs = Fit(rounds=8), chain(guess, (0.5, 0.5, 0.2)), overlaps(guess)
+    fit, edges, pairs = RefinementSettings(rounds=8), chain(guess, (0.5, 0.5, 0.2)), overlaps(guess)
     poses = refine(guess, scans, edges, pairs, fit=fit).poses
     k, m = len(poses), len(pairs)
     fans = sort_by_bearing(scans._replace(lasers=np.tile(scans.lasers, (k, 1))))
@@ -208,7 +208,7 @@ def test_information_is_not_more_than_the_noise_allows():
     T = se2.between(truth[0], truth[1])
     for _ in range(200):
         scans = scans_at(truth, noise=rng.normal(0, 0.03, (2, FRONT.beams)))
-        done = refine(truth, scans, weak, pairs, fit=Fit(rounds=4))
+        done = refine(truth, scans, weak, pairs, fit=RefinementSettings(rounds=4))
         e = se2.between(done.poses[0], done.poses[1]) - T
         e[2] = wrap(float(e[2]))
         chi2.append(e @ done.information[0] @ e)
@@ -225,7 +225,9 @@ def test_the_covariance_covers_the_errors(sigma, shared):
     for _ in range(12):
         noise = rng.normal(0, sigma, (len(truth), FRONT.beams))
         noise += np.repeat(rng.normal(0, shared, (len(truth), 46)), 8, 1)[:, : FRONT.beams]
-        done = refine(truth, scans_at(truth, noise=noise), edges, pairs, fit=Fit(rounds=4))
+        done = refine(
+            truth, scans_at(truth, noise=noise), edges, pairs, fit=RefinementSettings(rounds=4)
+        )
         points = pair_edges(done)
         both = Edges(*(np.concatenate(column) for column in zip(edges, points, strict=True)))
         P = marginals(done.poses, both, np.array([0]))

@@ -13,7 +13,7 @@ from impslam.errors import ImpError
 from impslam.geometry.angles import wrap
 from impslam.geometry.se2 import compose
 from impslam.maps.joining import joined
-from impslam.maps.relation import Link, Outcome, align_maps, aligned_to, fit, judge
+from impslam.maps.relation import RelationStatus, SegmentMatch, align_maps, aligned_to, fit, judge
 
 ALONG = way(-7.0, -0.3, 8.0, -0.2, 30)
 ROOMS = np.concatenate([way(-2.5, 0.0, -2.5, 5.0, 10), way(-2.5, 5.0, -2.5, 0.3, 10), ALONG[10:]])
@@ -30,7 +30,7 @@ def test_maps_of_two_drives_through_an_office_are_aligned():
     one, other = mapped(OFFICE, ALONG), mapped(OFFICE, ROOMS, T=T, seed=1)
     told = []
     found = align_maps(one.keyframes, other.keyframes, told.append)
-    assert found.outcome is Outcome.FOUND
+    assert found.outcome is RelationStatus.FOUND
     back = compose(found.T, T)
     assert math.hypot(back[0], back[1]) < 0.03
     assert abs(wrap(back[2])) < 0.005
@@ -43,7 +43,7 @@ def test_maps_of_two_drives_through_an_office_are_aligned():
 def test_two_buildings_have_no_place_in_common():
     one, other = mapped(OFFICE, ALONG), mapped(OTHER, OTHER_WAY, seed=1)
     found = align_maps(one.keyframes, other.keyframes)
-    assert found.outcome is Outcome.APART
+    assert found.outcome is RelationStatus.APART
     with pytest.raises(ImpError, match="no place in common"):
         aligned_to(one, other)
 
@@ -51,34 +51,34 @@ def test_two_buildings_have_no_place_in_common():
 def test_a_bare_corridor_cannot_be_aligned():
     one = mapped(CORRIDOR, way(-30.0, 0.0, 30.0, 0.1, 40))
     other = mapped(CORRIDOR, way(-20.0, 0.2, 20.0, -0.1, 30), seed=1)
-    assert align_maps(one.keyframes, other.keyframes).outcome is not Outcome.FOUND
+    assert align_maps(one.keyframes, other.keyframes).outcome is not RelationStatus.FOUND
 
 
 def test_a_map_of_one_place_is_too_short_to_be_aligned():
     one, other = mapped(OFFICE, ALONG), mapped(OFFICE, ALONG[:1], seed=1)
-    assert align_maps(one.keyframes, other.keyframes).outcome is Outcome.APART
+    assert align_maps(one.keyframes, other.keyframes).outcome is RelationStatus.APART
 
 
 def links(poses, T, rows):
-    return [Link(row, compose(T, poses[row])) for row in rows]
+    return [SegmentMatch(row, compose(T, poses[row])) for row in rows]
 
 
 def test_few_contradicting_links_are_outvoted_and_many_are_not():
     true = links(ROOMS, T, (0, 8, 15, 22, 30))
     false = links(ROOMS, np.array([0.0, 5.0, 0.0]), (4, 12, 26))
     few = judge([*true, false[0]], ROOMS, 9)
-    assert few.outcome is Outcome.FOUND
+    assert few.outcome is RelationStatus.FOUND
     assert few.links == tuple(true)
     np.testing.assert_allclose(few.T, T, atol=1e-9)
     many = judge([*true, *false], ROOMS, 9)
-    assert many.outcome is Outcome.AMBIGUOUS
+    assert many.outcome is RelationStatus.AMBIGUOUS
     assert "ambiguous" in many.words
 
 
 def test_two_that_agree_are_too_few():
-    assert judge(links(ROOMS, T, (0, 20)), ROOMS, 9).outcome is Outcome.AMBIGUOUS
-    assert judge(links(ROOMS, T, (0,)), ROOMS, 9).outcome is Outcome.APART
-    assert judge([], ROOMS, 9).outcome is Outcome.APART
+    assert judge(links(ROOMS, T, (0, 20)), ROOMS, 9).outcome is RelationStatus.AMBIGUOUS
+    assert judge(links(ROOMS, T, (0,)), ROOMS, 9).outcome is RelationStatus.APART
+    assert judge([], ROOMS, 9).outcome is RelationStatus.APART
 
 
 def test_the_fit_is_exact_for_exact_links_and_close_for_noisy_ones(rng):
@@ -95,7 +95,7 @@ def test_unplaced_keyframes_are_ignored():
     both = joined(mapped(OTHER, OTHER_WAY, seed=2), other, []).keyframes
     placed = both.sessions == 1
     found = align_maps(one.keyframes, replace(both, placed=placed))
-    assert found.outcome is Outcome.FOUND
+    assert found.outcome is RelationStatus.FOUND
     assert all(len(lost) <= link.row < len(lost) + k for link in found.links)
     alone = align_maps(one.keyframes, other.keyframes)
     np.testing.assert_allclose(found.T, alone.T, atol=1e-9)

@@ -11,7 +11,7 @@ from tests.recognition.plans import OFFICE, way
 from impslam.evaluation.colours import INK, PATH, POINT, SEEN, TRUTH, UNSEEN, WALL
 from impslam.maps.files import FREE, OCCUPIED, UNKNOWN, MapImage
 from impslam.observers.canvas import Canvas, colour
-from impslam.observers.map_picture import Scene, bounds, drawn_path, map_png, pieces
+from impslam.observers.map_picture import PictureContent, bounds, drawn_path, map_png, pieces
 from impslam.observers.summary import length
 from impslam.types import Landmark
 
@@ -50,7 +50,7 @@ def test_lines_dashes_and_fills_are_where_they_should_be() -> None:
     assert 0.45 < np.mean((row == colour(TRUTH)).all(axis=1)) < 0.65  # ends are round
 
 
-def scene(path: np.ndarray, **more: object) -> Scene:
+def scene(path: np.ndarray, **more: object) -> PictureContent:
     image = MapImage(np.full((40, 60), FREE, np.uint8), 0.1, np.array([-1.0, -1.0]))
     covariance = np.diag([1e-2, 1e-4])
     ends = np.array([[0.0, 2.5], [4.0, 2.5]])
@@ -58,12 +58,12 @@ def scene(path: np.ndarray, **more: object) -> Scene:
         Landmark(3, "cylinder", np.ones(2), {"radius": 0.2}, covariance, None, 5, 0.0, 1.0),
         Landmark(4, "wall", np.array([0.0, 2.5]), {}, covariance, ends, 5, 0.0, 1.0),
     )
-    return Scene(
+    return PictureContent(
         **{"image": image, "path": path, "odometry": path, "truth": path} | more, landmarks=marks
     )
 
 
-def picture(drawn: Scene) -> np.ndarray:
+def picture(drawn: PictureContent) -> np.ndarray:
     return cv2.imdecode(np.frombuffer(map_png(drawn), np.uint8), cv2.IMREAD_COLOR)
 
 

@@ -13,7 +13,7 @@ from impslam.evaluation.landmarks import transform_landmarks
 from impslam.evaluation.quality import Quality
 from impslam.observers.base import Dropped
 from impslam.observers.history import History
-from impslam.observers.page import Line, chart
+from impslam.observers.page import ChartLine, chart
 from impslam.observers.quality_section import quality_section
 from impslam.observers.recorder import Recorder
 from impslam.observers.run_folder import write_run
@@ -145,7 +145,7 @@ def test_history_is_the_map_beside_the_truth():
 
 @pytest.mark.parametrize("values", [[0.0, 0.0], [np.nan, np.nan], [1e-9, 2e-9], [-5.0, np.nan]])
 def test_charts_of_odd_values(values):
-    text = chart("t", np.array([0.0, 1.0]), [Line("", np.array(values))], np.array([1.0, 2.0]))
+    text = chart("t", np.array([0.0, 1.0]), [ChartLine("", np.array(values))], np.array([1.0, 2.0]))
     assert text.count("tick y") >= 2
 
 

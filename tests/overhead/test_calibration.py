@@ -4,7 +4,7 @@ from tests.numeric import jacobian
 from tests.overhead.scenes import PIXEL, SIZE_PX, SURVEY, calibrated, true_camera
 
 from impslam.errors import ImpError
-from impslam.overhead.calibration import View, calibrate
+from impslam.overhead.calibration import BoardView, calibrate
 from impslam.overhead.camera import linearised, project
 
 
@@ -44,6 +44,6 @@ def test_points_on_a_line_or_too_few_are_rejected() -> None:
     line = np.column_stack([np.arange(5.0), np.zeros(5), np.zeros(5)])
     seen = true_camera().project(line)
     for number, told in ((3, "at least 4"), (5, "spread them out")):
-        view = View(line[:number], seen[:number])
+        view = BoardView(line[:number], seen[:number])
         with pytest.raises(ImpError, match=told):
             calibrate(SIZE_PX, [], view, SURVEY, np.full(number, PIXEL))

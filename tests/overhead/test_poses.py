@@ -3,7 +3,7 @@ from tests.overhead.scenes import calibrated, true_camera
 
 from impslam.evaluation.consistency import chi2_bounds, nees, pose_errors
 from impslam.geometry.se2 import compose
-from impslam.overhead.camera import Camera
+from impslam.overhead.camera import CalibratedCamera
 from impslam.overhead.poses import corners_in_base, find_poses
 
 SIDE, HEIGHT, HEIGHT_SIGMA = 0.1, 0.2, 0.002
@@ -12,7 +12,7 @@ MOUNT = np.array([0.03, -0.02, 0.4])
 CORNERS = corners_in_base(SIDE, MOUNT)
 
 
-def seen(camera: Camera, poses: np.ndarray, height: float = HEIGHT) -> np.ndarray:
+def seen(camera: CalibratedCamera, poses: np.ndarray, height: float = HEIGHT) -> np.ndarray:
     """Corners (n, 4, 2) px of the marker of a robot at poses (n, 3)."""
     marks = [
         compose(np.tile(pose, (4, 1)), np.column_stack([CORNERS, np.zeros(4)])) for pose in poses

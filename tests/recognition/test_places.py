@@ -18,7 +18,7 @@ from tests.recognition.plans import (
 from impslam.geometry.se2 import between, compose
 from impslam.recognition.correlative import Window
 from impslam.recognition.places import Recogniser
-from impslam.recognition.verify import Verdict
+from impslam.recognition.verify import ClosureStrength
 
 THERE, BACK = way(-6.0, -0.3, 5.0, -0.2, 12), way(1.5, 0.2, -0.5, 0.1, 5)
 REFERENCE = place(OFFICE, THERE, THERE[6], REFERENCE_CELL)
@@ -41,7 +41,7 @@ def test_the_pose_is_found_from_anywhere_in_the_window(size, rng):
         guess = TRUTH + half * rng.uniform(-0.95, 0.95, 3)
         closure = recogniser.close(REFERENCE, QUERY, guess, Window(*half))
         assert_at(closure, TRUTH)
-        assert closure.verdict == Verdict.STRONG
+        assert closure.verdict == ClosureStrength.STRONG
         assert np.linalg.eigvalsh(closure.information)[0] > 0.0
 
 

@@ -6,7 +6,7 @@ from tests.extractors.scans import room
 from tests.recognition.plans import OFFICE, place, walls, way
 
 from impslam.geometry.se2 import compose
-from impslam.recognition.verify import MIN_SEEN, Support, Verdict, judge, verify
+from impslam.recognition.verify import MIN_SEEN, ClosureStrength, Support, judge, verify
 from impslam.surfaces.surface_map import add, empty_surface_map
 
 SQUARE = room(-4.0, 4.0, -3.0, 3.0)
@@ -71,12 +71,12 @@ def test_frames_do_not_matter(rng):
 @pytest.mark.parametrize(
     ("found", "verdict"),
     [
-        (Support(0.4, 0.9, 0.85, MIN_SEEN), Verdict.STRONG),
-        (Support(0.4, 0.9, 0.7, MIN_SEEN), Verdict.WEAK),
-        (Support(0.4, 0.7, 0.9, MIN_SEEN), Verdict.WEAK),
-        (Support(0.4, 0.9, 0.6, MIN_SEEN), Verdict.REFUSED),
-        (Support(0.3, 1.0, 1.0, MIN_SEEN), Verdict.REFUSED),
-        (Support(0.9, 1.0, 1.0, MIN_SEEN - 1), Verdict.REFUSED),
+        (Support(0.4, 0.9, 0.85, MIN_SEEN), ClosureStrength.STRONG),
+        (Support(0.4, 0.9, 0.7, MIN_SEEN), ClosureStrength.WEAK),
+        (Support(0.4, 0.7, 0.9, MIN_SEEN), ClosureStrength.WEAK),
+        (Support(0.4, 0.9, 0.6, MIN_SEEN), ClosureStrength.REFUSED),
+        (Support(0.3, 1.0, 1.0, MIN_SEEN), ClosureStrength.REFUSED),
+        (Support(0.9, 1.0, 1.0, MIN_SEEN - 1), ClosureStrength.REFUSED),
     ],
 )
 def test_verdicts(found, verdict):
@@ -86,12 +86,12 @@ def test_verdicts(found, verdict):
 @pytest.mark.parametrize(
     ("found", "verdict"),
     [
-        (Support(0.2, 0.9, 0.85, 40), Verdict.WEAK),
-        (Support(0.2, 0.9, 0.75, 40), Verdict.REFUSED),
-        (Support(0.15, 1.0, 1.0, 40), Verdict.REFUSED),
-        (Support(0.9, 1.0, 1.0, 30), Verdict.REFUSED),
-        (Support(0.4, 0.9, 0.85, MIN_SEEN), Verdict.STRONG),
-        (Support(0.4, 0.9, 0.7, MIN_SEEN), Verdict.WEAK),
+        (Support(0.2, 0.9, 0.85, 40), ClosureStrength.WEAK),
+        (Support(0.2, 0.9, 0.75, 40), ClosureStrength.REFUSED),
+        (Support(0.15, 1.0, 1.0, 40), ClosureStrength.REFUSED),
+        (Support(0.9, 1.0, 1.0, 30), ClosureStrength.REFUSED),
+        (Support(0.4, 0.9, 0.85, MIN_SEEN), ClosureStrength.STRONG),
+        (Support(0.4, 0.9, 0.7, MIN_SEEN), ClosureStrength.WEAK),
     ],
 )
 def test_verdicts_where_submaps_share_little(found, verdict):

@@ -12,7 +12,7 @@ from impslam.errors import ConfigError
 from impslam.geometry.angles import wrap
 from impslam.geometry.se2 import compose, exp
 from impslam.simulation.body import MEMORY, STEP, Body
-from impslam.simulation.body_lidar import Sweeps
+from impslam.simulation.body_lidar import LidarSweeps
 from impslam.simulation.body_motion import Drivetrain, clearance
 from impslam.simulation.drive import Trajectory
 from impslam.simulation.lidar import LidarSimulator
@@ -426,7 +426,7 @@ def test_sweeps_see_the_arena_from_where_the_body_was():
     robot = put(Body(ARENA, PERFECT, drivetrain=AT_ONCE), -0.3, 1.0, 1.0)
     robot.drive(0.2, 0.3)
     robot.advance(1.0)
-    found = Sweeps(robot).ranges(0.5)
+    found = LidarSweeps(robot).ranges(0.5)
     pose = robot.at(np.array([0.5]))[0]
     twist = np.array([0.25, 0.1 / AT_ONCE.effective_track])
     times = np.arange(101) / 100
@@ -443,4 +443,4 @@ def test_a_sweep_outside_the_stored_past_is_rejected(begin):
     robot = body(ARENA)
     robot.advance(5.0)
     with pytest.raises(ValueError, match="cannot be read"):
-        Sweeps(robot).ranges(begin)
+        LidarSweeps(robot).ranges(begin)

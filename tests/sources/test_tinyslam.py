@@ -6,7 +6,7 @@ import pytest
 from tests.sources.logs import dat_line, read, write_dat
 
 from impslam.errors import MessageError
-from impslam.sources.tinyslam import Clock
+from impslam.sources.tinyslam import MicrosecondClock
 from impslam.types import LaserScan, WheelAngles
 
 
@@ -49,7 +49,7 @@ def test_the_clock_wraps(tmp_path: Path) -> None:
 
 
 def test_one_wrong_count_does_not_turn_the_clock_for_good() -> None:
-    clock = Clock()
+    clock = MicrosecondClock()
     times = [clock.seconds(c) for c in (3_000_000_000, 100_000_000, 3_000_100_000)]
     assert times[2] - times[0] == pytest.approx(0.1)
     with pytest.raises(MessageError, match="32-bit"):

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from impslam.errors import MessageError
-from impslam.sources.transforms import FrameTree, Link, flattened, rigid
+from impslam.sources.transforms import FrameTransform, FrameTree, flattened, rigid
 
 ANGLES = st.floats(-math.pi, math.pi)
 LENGTHS = st.floats(-5.0, 5.0)
@@ -22,7 +22,7 @@ def pose(xyz=(0.0, 0.0, 0.0), rpy=(0.0, 0.0, 0.0)):
 def tree(*links):
     found = FrameTree()
     for parent, child, T in links:
-        assert found.add(Link(parent, child, T))
+        assert found.add(FrameTransform(parent, child, T))
     return found
 
 
@@ -98,6 +98,6 @@ def test_a_loop_above_base_does_not_matter():
 
 def test_the_first_of_two_parents_counts():
     known = tree(("base", "laser", pose((1.0, 0.0, 0.0))))
-    assert not known.add(Link("mast", "laser", pose((2.0, 0.0, 0.0))))
-    assert known.add(Link("base", "laser", pose((3.0, 0.0, 0.0))))
+    assert not known.add(FrameTransform("mast", "laser", pose((2.0, 0.0, 0.0))))
+    assert known.add(FrameTransform("base", "laser", pose((3.0, 0.0, 0.0))))
     assert known.chain("base", "laser")[0][0, 3] == 3.0

@@ -30,7 +30,7 @@ from impslam.studies.arena_tables import (
     wall_table,
 )
 from impslam.studies.map_plot import ARENA, draw_maps
-from impslam.studies.sweep import Run, Variant, path_metrics, sweep
+from impslam.studies.sweep import StudyRun, Variant, path_metrics, sweep
 from impslam.sweeps.job import Job
 from impslam.types import Landmark
 
@@ -116,7 +116,7 @@ def run(seed=0, by=0.0, without=(), more=(), end=0.0):
     """Return a run at rest, `end` off along x, whose map is off by so much."""
     path = np.zeros((5, 3)) + np.array([end, 0.0, 0.0])
     marks = [mark(m, by, i) for i, m in enumerate(true_landmarks()) if m.name not in without]
-    return Run(
+    return StudyRun(
         load_world("arena"),
         Variant("default"),
         seed,

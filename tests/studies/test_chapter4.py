@@ -29,7 +29,7 @@ from impslam.studies.chapter4_scans import (
     MAX_TURN,
     PEOPLE,
     Detections,
-    Snapshot,
+    SceneSnapshot,
     ThesisExtractors,
     detect,
     doubles,
@@ -58,7 +58,7 @@ def thesis() -> ThesisExtractors:
 
 
 @pytest.fixture(scope="module")
-def arena() -> list[Snapshot]:
+def arena() -> list[SceneSnapshot]:
     return list(snapshots(load_world(ARENA)))
 
 
@@ -67,13 +67,13 @@ def part() -> Section:
     return figures(Job())
 
 
-def snapshot_of(pose: Array = POSE, legs: Array | None = None) -> Snapshot:
+def snapshot_of(pose: Array = POSE, legs: Array | None = None) -> SceneSnapshot:
     """Return an exact scan of the arena with legs (k, 3) in it."""
     legs = np.empty((0, 3)) if legs is None else legs
     circles = np.vstack([np.column_stack([CYLINDERS, np.full(3, 0.1524)]), legs])
     seen = cast(room(LEFT, RIGHT, BOTTOM, TOP), circles, pose=pose)
     scene = Scene(load_world(ARENA))
-    return Snapshot(0, 0.0, seen.scan, pose, scene, scene.segments, np.empty((0, 4)), legs)
+    return SceneSnapshot(0, 0.0, seen.scan, pose, scene, scene.segments, np.empty((0, 4)), legs)
 
 
 def wall(start: tuple[float, float], end: tuple[float, float], pose: Array = POSE) -> Observation:
@@ -93,7 +93,7 @@ def cylinder(x: float, y: float, pose: Array = POSE) -> Observation:
 # --------------------------------------------------------------------------- jumps
 
 
-def one_cylinder() -> tuple[Snapshot, int, int]:
+def one_cylinder() -> tuple[SceneSnapshot, int, int]:
     """Return a scan of a cylinder in a room, and the first and the last beam on it."""
     seen = cast(room(-2.0, 3.0, -2.0, 2.0), np.array([[1.2, 0.5, 0.1524]]))
     on = seen.beams_on_circle(0)
@@ -176,7 +176,7 @@ def test_few_far_readings_do_not_make_a_wall_spurious() -> None:
     assert true_thing(snapshot, askew) < 0
 
 
-def to_nearest_wall(snapshot: Snapshot, finding: Observation) -> float:
+def to_nearest_wall(snapshot: SceneSnapshot, finding: Observation) -> float:
     """Return how far a finding's middle is from the arena's walls of about its direction, m.
 
     Written for the arena's axes, without the geometry under test.
@@ -199,7 +199,7 @@ def to_nearest_wall(snapshot: Snapshot, finding: Observation) -> float:
 
 @pytest.mark.parametrize("name", ["ransac", "hough"])
 def test_spurious_walls_are_away_from_every_wall(
-    arena: list[Snapshot], thesis: ThesisExtractors, name: str
+    arena: list[SceneSnapshot], thesis: ThesisExtractors, name: str
 ) -> None:
     lax = {"ransac": thesis.ransac, "hough": thesis.hough.model_copy(update={"threshold": 20})}
     seen = [detect(snapshot, lax[name]) for snapshot in arena]
@@ -266,7 +266,7 @@ def test_without_a_scan_that_satisfies_the_rule_the_nearest_is_returned() -> Non
 
 
 def test_random_draws_depend_on_seed_and_scan_alone(
-    arena: list[Snapshot], thesis: ThesisExtractors
+    arena: list[SceneSnapshot], thesis: ThesisExtractors
 ) -> None:
     def ends(seed: int) -> list[Array]:
         seen = detect(arena[13], thesis.ransac, seed)
@@ -310,7 +310,7 @@ def test_a_peak_is_the_line_of_its_wall_in_the_image(
 
 
 def test_detected_walls_are_cells_above_the_threshold(
-    arena: list[Snapshot], thesis: ThesisExtractors
+    arena: list[SceneSnapshot], thesis: ThesisExtractors
 ) -> None:
     for snapshot in arena[::10]:
         seen = detect(snapshot, thesis.hough)

@@ -16,7 +16,7 @@ from impslam.studies.consistency import FILTERS, consistency
 from impslam.studies.consistency_arena import (
     CASES,
     KINDS,
-    Case,
+    ConsistencyCase,
     arena_consistency,
     consistency_metrics,
     landmark_nees,
@@ -110,7 +110,7 @@ def test_processes_do_not_change_the_result():
 def test_a_robot_without_faults_is_mapped_to_the_millimetre():
     """So that what the cases show is due to their faults."""
     perfect = SimulatedRobot.perfect().model_copy(update={"imu": None})
-    variants = Case("perfect", perfect, (), ("riekf",)).variants()
+    variants = ConsistencyCase("perfect", perfect, (), ("riekf",)).variants()
     (row,) = sweep(variants, [0], measure=consistency_metrics)
     assert row["nees"] < 0.1
     assert max(row[f"nees {kind}"] for kind in KINDS) < 0.5

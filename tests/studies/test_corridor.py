@@ -24,15 +24,15 @@ from impslam.studies.corridor_metrics import (
     distance_held,
 )
 from impslam.studies.corridor_truth import (
+    Classification,
     CorridorTruth,
-    Verdict,
     corridor_world,
     false_landmarks,
     judge,
 )
 from impslam.studies.corridor_walls import COUNTS, EXTRACTORS, count_walls, tally, total_counts
 from impslam.studies.map_plot import CORRIDOR, draw_maps
-from impslam.studies.sweep import Run, map_run, path_metrics, sweep
+from impslam.studies.sweep import StudyRun, map_run, path_metrics, sweep
 from impslam.sweeps.cases import ROBOT
 from impslam.sweeps.job import Job
 from impslam.types import Landmark, Observation
@@ -123,7 +123,7 @@ def test_beams_hit_the_true_things(truth, sweep_):
 
 def test_a_wall_with_its_shut_door_is_one(sweep_, south):
     seen = wall(sweep_, (-1.0, -1.5), (3.5, -1.5), south)
-    assert judge(sweep_, seen) == Verdict(person=False, touched=False, false=False)
+    assert judge(sweep_, seen) == Classification(person=False, touched=False, false=False)
 
 
 @pytest.mark.parametrize("turn", [-9.0, 9.0])
@@ -154,7 +154,7 @@ def test_observations_of_people_are_people(sweep_, beams_on):
     legs = beams_on("person")
     for kind in ("cylinder", "corner"):
         seen = judge(sweep_, point(sweep_, kind, (2.5, -0.5), legs))
-        assert seen == Verdict(person=True, touched=True, false=True)
+        assert seen == Classification(person=True, touched=True, false=True)
     assert judge(sweep_, wall(sweep_, (2.44, -0.7), (2.44, -0.3), legs)).person
 
 
@@ -167,7 +167,7 @@ def test_observations_at_a_person_are_the_person_whatever_beams_hit(sweep_, beam
 def test_a_wall_behind_someone_is_no_person(sweep_, beams_on, south):
     beams = np.concatenate((south, beams_on("person")))
     seen = judge(sweep_, wall(sweep_, (-1.0, -1.5), (3.5, -1.5), beams))
-    assert seen == Verdict(person=False, touched=True, false=False)
+    assert seen == Classification(person=False, touched=True, false=False)
 
 
 def test_points(sweep_, beams_on):
@@ -202,8 +202,8 @@ def test_false_landmarks_of_a_map(truth):
 
 
 def test_walls_are_counted():
-    good, bad = Verdict(False, False, False), Verdict(False, False, True)
-    leg = Verdict(True, True, True)
+    good, bad = Classification(False, False, False), Classification(False, False, True)
+    leg = Classification(True, True, True)
     assert tuple(tally([]).values()) == (1, 0, 0, 0, 0)
     assert tuple(tally([good, bad, leg]).values()) == (1, 3, 2, 1, 1)
     rows = [
@@ -219,7 +219,7 @@ def run_that_ends(off):
     truth = np.column_stack((np.linspace(0, 100, 11), np.zeros(11), np.zeros(11)))
     path = truth + np.array((0.0, off, 0.0))
     rows = PathRows(np.zeros(11), path, np.tile(np.eye(3), (11, 1, 1)), truth + 5.0)
-    return Run(corridor_world(), VARIANTS[0], 0, [], truth, rows, [], (), [])
+    return StudyRun(corridor_world(), VARIANTS[0], 0, [], truth, rows, [], (), [])
 
 
 def test_a_path_holds_until_it_is_off_for_the_first_time():

@@ -51,7 +51,7 @@ CAMERA = ("sensors.camera.depth=false", "sensors.camera.range_scale=1")
 
 
 def test_a_drive_is_measured(circle):
-    row = measure(filter_logs.Drive("circle", "ekf", circle, (*EXACT, *CAMERA), 1))
+    row = measure(filter_logs.FilterTask("circle", "ekf", circle, (*EXACT, *CAMERA), 1))
     assert row["position2"] < 0.03**2
     assert row["position2"] == pytest.approx(np.mean(row["position2_parts"]), rel=0.05)
     assert len(row["nees_parts"]) == PARTS
@@ -63,7 +63,7 @@ def test_a_drive_is_measured(circle):
 
 def test_observations_of_another_label_are_counted_where_labels_are_not_read(circle):
     unread = ("association.kind=mahalanobis", *EXACT, *CAMERA)
-    row = measure(filter_logs.Drive("circle", "ekf", circle, unread, 1))
+    row = measure(filter_logs.FilterTask("circle", "ekf", circle, unread, 1))
     assert row["wrong"] in (12, 18, 24)  # not each picture is a keyframe
 
 

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from impslam.overhead.discs import Cylinder
+from impslam.overhead.discs import MeasuredCylinder
 from impslam.simulation.world import load_world
 from impslam.studies import overhead
 from impslam.studies.report import load_text
@@ -14,7 +14,9 @@ from impslam.sweeps.job import Job
 
 def test_cylinders_are_compared_with_the_nearest_and_none_may_be_missing() -> None:
     world, off = load_world("arena"), np.array([0.003, -0.004])
-    found = [Cylinder(np.add(part.centre, off), np.eye(2), 0.15) for part in world.cylinders]
+    found = [
+        MeasuredCylinder(np.add(part.centre, off), np.eye(2), 0.15) for part in world.cylinders
+    ]
     errors = overhead._cylinder_errors(world, SimpleNamespace(cylinders=found[::-1]))
     assert math.isclose(overhead._rms(errors), 0.005)
     errors = overhead._cylinder_errors(world, SimpleNamespace(cylinders=found[1:]))

@@ -7,7 +7,7 @@ from impslam.health import ELSEWHERE, NONE, OPEN, PUSHED, SLIPPED, STALLED, UNEX
 from impslam.tracking.match_faults import (
     MIN_FIT,
     MIN_OPEN_DISTANCE,
-    Fit,
+    MatchQuality,
     check_fit,
     check_motion,
     current_fault,
@@ -20,7 +20,7 @@ AHEAD, STILL = np.array([0.1, 0.0, 0.0]), np.zeros(3)
 
 
 def fit(share, points=100.0, off=STILL):
-    return Fit(points, share, off)
+    return MatchQuality(points, share, off)
 
 
 def judged(shares, period=0.2):

@@ -10,12 +10,12 @@ import numpy as np
 from impslam.calibration import noise
 from impslam.calibration.closed_form import LATENCIES, initial_estimate
 from impslam.calibration.gyro import calibrate_gyro
-from impslam.calibration.least_squares import Prior, Solution, solve
+from impslam.calibration.least_squares import LeastSquaresSolution, Prior, solve
 from impslam.calibration.lidar_path import lidar_path
 from impslam.calibration.odometry_models import covered, make_model
 from impslam.calibration.order_clock import MAX_DISORDER, reorder_stamps
-from impslam.calibration.recording import Recording, first_lidar
-from impslam.calibration.residuals import LIDAR_PARAMETERS, Drive
+from impslam.calibration.recording import CalibrationRows, first_lidar
+from impslam.calibration.residuals import LIDAR_PARAMETERS, CalibrationDrive
 from impslam.calibration.scan_pairs import match_pairs
 from impslam.config import Config
 from impslam.errors import ConfigError, SourceError
@@ -30,7 +30,7 @@ PRIOR_WIDTH = 10.0
 the drives determine."""
 
 
-class Kind(NamedTuple):
+class ParameterKind(NamedTuple):
     """A parameter's unit, and the standard deviation up to which it counts as observable.
 
     `limit` is in the unit, or a share of the value: a few times the accuracy of a ruler, a protractor and a
@@ -43,19 +43,19 @@ class Kind(NamedTuple):
 
 
 KINDS = {
-    "wheel_radius": Kind("m", 0.02, is_share=True),
-    "right_left_ratio": Kind("1", 0.01),
-    "track": Kind("m", 0.05, is_share=True),
-    "distance_scale": Kind("1", 0.02),
-    "speed_scale": Kind("1", 0.02),
-    "turn_scale": Kind("1", 0.02),
-    "turn_per_metre": Kind("rad/m", 0.02),
-    "x": Kind("m", 0.02),
-    "y": Kind("m", 0.02),
-    "yaw": Kind("rad", 0.02),
-    "latency": Kind("s", 0.02),
-    "range_offset": Kind("m", 0.01),
-    "range_scale": Kind("1", 0.02),
+    "wheel_radius": ParameterKind("m", 0.02, is_share=True),
+    "right_left_ratio": ParameterKind("1", 0.01),
+    "track": ParameterKind("m", 0.05, is_share=True),
+    "distance_scale": ParameterKind("1", 0.02),
+    "speed_scale": ParameterKind("1", 0.02),
+    "turn_scale": ParameterKind("1", 0.02),
+    "turn_per_metre": ParameterKind("rad/m", 0.02),
+    "x": ParameterKind("m", 0.02),
+    "y": ParameterKind("m", 0.02),
+    "yaw": ParameterKind("rad", 0.02),
+    "latency": ParameterKind("s", 0.02),
+    "range_offset": ParameterKind("m", 0.01),
+    "range_scale": ParameterKind("1", 0.02),
 }
 LENGTHS = ("wheel_radius", "track", "distance_scale", "speed_scale")
 """Lengths of the robot, one of which must be kept to find the scale of the ranges: they scale together."""
@@ -105,12 +105,14 @@ class Calibration(NamedTuple):
     parameters: tuple[Parameter, ...]
     covariance: Array
     random_errors: tuple[RandomError, ...]
-    drives: tuple[Drive, ...]
-    solution: Solution
+    drives: tuple[CalibrationDrive, ...]
+    solution: LeastSquaresSolution
     start: Array
 
 
-def extract_drives(config: Config, recording: Recording, where: str) -> list[Drive]:
+def extract_drives(
+    config: Config, recording: CalibrationRows, where: str
+) -> list[CalibrationDrive]:
     """Return the drives of one log, one for each piece of its odometry.
 
     Raises
@@ -130,13 +132,15 @@ def extract_drives(config: Config, recording: Recording, where: str) -> list[Dri
     gyro = (
         calibrate_gyro(recording.gyro, found, lidar.latency) if disorder <= MAX_DISORDER else None
     )
-    out = list[Drive]()
+    out = list[CalibrationDrive]()
     for readings in recording.odometry:
         if len(readings) > 1:
             model = make_model(odometry, readings)
             begins, ends = found.begins - lidar.latency, found.ends - lidar.latency
             inside = covered(model, begins - slack, ends + slack)
-            out.append(Drive(model, found.take(np.flatnonzero(inside)), path, gyro, disorder))
+            out.append(
+                CalibrationDrive(model, found.take(np.flatnonzero(inside)), path, gyro, disorder)
+            )
     count = sum(len(drive.motions.begins) for drive in out)
     if count < MIN_MOTIONS:
         raise SourceError(
@@ -146,7 +150,9 @@ def extract_drives(config: Config, recording: Recording, where: str) -> list[Dri
     return out
 
 
-def calibrate(config: Config, drives: Sequence[Drive], keep: Sequence[str] = ()) -> Calibration:
+def calibrate(
+    config: Config, drives: Sequence[CalibrationDrive], keep: Sequence[str] = ()
+) -> Calibration:
     """Return the parameters that fit all drives of a robot best.
 
     `keep` names parameters of `KINDS` that keep their configured value. If one of them is a length of the
@@ -194,7 +200,7 @@ def calibrate(config: Config, drives: Sequence[Drive], keep: Sequence[str] = ())
     return Calibration(name, parameters, covariance, random_errors, tuple(drives), solution, start)
 
 
-def _begin(drives: Sequence[Drive], prior: Prior, free: Mask) -> Array:
+def _begin(drives: Sequence[CalibrationDrive], prior: Prior, free: Mask) -> Array:
     """Return the start: the closed-form estimate, or the prior if that estimate is too far from it.
 
     The yaw may be anything, as a lidar may face backward, but a robot is not ten times as large.
@@ -231,7 +237,9 @@ def _limit(name: str, value: float) -> float:
     return kind.limit * (value if kind.is_share else 1.0)
 
 
-def _random_errors(drive: Drive, solution: Solution) -> tuple[RandomError, ...]:
+def _random_errors(
+    drive: CalibrationDrive, solution: LeastSquaresSolution
+) -> tuple[RandomError, ...]:
     """Return the standard deviations of matches, and of odometry including slip."""
     names, m = noise.noise_names(drive), len(noise.MATCHING)
     of_matches = zip(names[:m], *_roots(solution.noise), strict=False)
@@ -242,7 +250,7 @@ def _random_errors(drive: Drive, solution: Solution) -> tuple[RandomError, ...]:
     )
 
 
-def _roots(found: noise.Noise) -> tuple[list[float], list[float]]:
+def _roots(found: noise.ErrorVariances) -> tuple[list[float], list[float]]:
     """Return c standard deviations and their own: that of sqrt(v) is that of v over 2 sqrt(v)."""
     sigmas = np.sqrt(np.diag(np.linalg.pinv(found.information, hermitian=True)))
     values = np.sqrt(found.variances)

@@ -17,7 +17,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from impslam.calibration.odometry_models import Complex, motion, sum_between
-from impslam.calibration.residuals import Drive
+from impslam.calibration.residuals import CalibrationDrive
 from impslam.types import Array
 
 ITERATIONS = 5
@@ -25,7 +25,7 @@ LATENCIES = np.linspace(-0.6, 0.6, 61)
 """s, grid of the search: a scan stamped on arrival over a slow link is half a second late."""
 
 
-def initial_estimate(drives: Sequence[Drive], latency: float) -> Array | None:
+def initial_estimate(drives: Sequence[CalibrationDrive], latency: float) -> Array | None:
     """Return parameters (p + 6,) for `residuals`; None if the robot has not turn_inputs or driven.
 
     The latency is searched around the given one, s; ranges are assumed to be correct.
@@ -46,7 +46,7 @@ def initial_estimate(drives: Sequence[Drive], latency: float) -> Array | None:
     return np.array([*model.parameters(turning, scale), m.real, m.imag, yaw, latency, 0.0, 1.0])
 
 
-def _turning(drives: Sequence[Drive], latency: float) -> tuple[Array, float]:
+def _turning(drives: Sequence[CalibrationDrive], latency: float) -> tuple[Array, float]:
     """Return the factors (2,) from readings to turns, and the mean error of the turns, rad."""
     A = np.concatenate([
         sum_between(d.model, d.model.turn_inputs(), d.motions.begins - latency, d.motions.ends - latency)

@@ -20,7 +20,7 @@ ITERATIONS, GATE = 5, 4.0
 """Number of fits, and the standard deviations beyond which a motion is left out of the next one."""
 
 
-class Gyro(NamedTuple):
+class GyroCalibration(NamedTuple):
     """Bias and scale of a gyro: true = scale * (rate - bias).
 
     Attributes
@@ -35,7 +35,9 @@ class Gyro(NamedTuple):
     scale_sigma: float
 
 
-def calibrate_gyro(readings: Array, motions: LidarMotions, latency: float) -> Gyro | None:
+def calibrate_gyro(
+    readings: Array, motions: LidarMotions, latency: float
+) -> GyroCalibration | None:
     """Return bias and scale of the gyro of a log; None if it has none or the robot hardly moved.
 
     `readings` (g, 2) are stamps, s, and yaw rates, rad/s; `latency` is that of the lidar, s.
@@ -61,7 +63,7 @@ def _integrate(stamps: Array, rates: Array, begins: Array, ends: Array) -> Array
     return difference
 
 
-def _fit(A: Array, turns: Array) -> Gyro:
+def _fit(A: Array, turns: Array) -> GyroCalibration:
     near = np.ones(len(A), np.bool_)
     for _ in range(ITERATIONS):
         k, b = np.linalg.lstsq(A[near], turns[near], rcond=None)[0]
@@ -69,4 +71,4 @@ def _fit(A: Array, turns: Array) -> Gyro:
         near = off <= GATE * 1.4826 * np.median(off) + 1e-9
     variance = float(off[near] @ off[near]) / max(int(near.sum()) - 2, 1)
     sigmas = np.sqrt(np.diag(np.linalg.inv(A[near].T @ A[near])) * variance)
-    return Gyro(float(-b / k), float(sigmas[1] / k), float(k), float(sigmas[0]))
+    return GyroCalibration(float(-b / k), float(sigmas[1] / k), float(k), float(sigmas[0]))

@@ -14,13 +14,13 @@ import numpy as np
 from impslam.calibration.noise import (
     MATCHING,
     TYPICAL,
-    Noise,
+    ErrorVariances,
     covariance_slopes,
     fit_variances,
     scan_covariances,
     unit_covariances,
 )
-from impslam.calibration.residuals import LIDAR_PARAMETERS, Drive, residuals
+from impslam.calibration.residuals import LIDAR_PARAMETERS, CalibrationDrive, residuals
 from impslam.types import Array, Mask
 
 MAX_ROUNDS, STEPS = 8, 4
@@ -42,7 +42,7 @@ MEDIAN_CHI2 = 3.36
 """The median of that chi-square."""
 
 
-class Solution(NamedTuple):
+class LeastSquaresSolution(NamedTuple):
     """Estimated parameters and noise, with their uncertainty.
 
     Attributes
@@ -58,8 +58,8 @@ class Solution(NamedTuple):
 
     parameters: Array
     covariance: Array
-    noise: Noise
-    slip: Noise
+    noise: ErrorVariances
+    slip: ErrorVariances
     kept: list[Mask]
     chi2: list[Array]
 
@@ -80,7 +80,9 @@ class Prior(NamedTuple):
     sigmas: Array
 
 
-def solve(drives: Sequence[Drive], start: Array, free: Mask, prior: Prior) -> Solution:
+def solve(
+    drives: Sequence[CalibrationDrive], start: Array, free: Mask, prior: Prior
+) -> LeastSquaresSolution:
     """Return the best parameters, from a start (n,); those that are not `free` (n,) stay fixed.
 
     The prior constrains parameters that the drives do not determine.
@@ -117,17 +119,19 @@ def solve(drives: Sequence[Drive], start: Array, free: Mask, prior: Prior) -> So
     covariance = covariance * max(1.0, tail / MAX_TAIL)
     offset = len(start) - len(LIDAR_PARAMETERS) + LIDAR_PARAMETERS.index("range_offset")
     covariance[offset, offset] += SHAPE_SIGMA**2 * free[offset]
-    return Solution(
+    return LeastSquaresSolution(
         parameters, covariance, noise, slip, np.split(near, ends), np.split(now.chi2, ends)
     )
 
 
-def _unit_covariances(drives: Sequence[Drive], parameters: Array) -> Array:
+def _unit_covariances(drives: Sequence[CalibrationDrive], parameters: Array) -> Array:
     """Return the covariances (c, k, 4, 4) of all drives for variances of 1."""
     return np.concatenate([unit_covariances(drive, parameters) for drive in drives], axis=1)
 
 
-def _covariance_slopes(drives: Sequence[Drive], parameters: Array, variances: Array) -> Array:
+def _covariance_slopes(
+    drives: Sequence[CalibrationDrive], parameters: Array, variances: Array
+) -> Array:
     """Return the derivatives (n, k, 4, 4) of the covariance of noise in all drives' readings."""
     return np.concatenate(
         [covariance_slopes(drive, parameters, variances) for drive in drives], axis=1
@@ -143,7 +147,7 @@ def _pull(now: _Weighted, weights: Array, S_D: Array) -> Array:
 
 def _shortened(
     step: Array,
-    drives: Sequence[Drive],
+    drives: Sequence[CalibrationDrive],
     parameters: Array,
     S: Array,
     now: _Weighted,
@@ -164,7 +168,7 @@ def _shortened(
     return np.zeros_like(step)
 
 
-def _weighted(drives: Sequence[Drive], parameters: Array, S: Array) -> _Weighted:
+def _weighted(drives: Sequence[CalibrationDrive], parameters: Array, S: Array) -> _Weighted:
     found = [residuals(drive, parameters) for drive in drives]
     e = np.concatenate([one.values for one in found])
     J = np.concatenate([one.by_all for one in found])

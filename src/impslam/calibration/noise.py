@@ -18,7 +18,7 @@ from impslam.calibration.odometry_models import (
     motion,
     sum_between,
 )
-from impslam.calibration.residuals import LIDAR_PARAMETERS, Drive, residuals
+from impslam.calibration.residuals import LIDAR_PARAMETERS, CalibrationDrive, residuals
 from impslam.calibration.scan_pairs import LidarMotions
 from impslam.geometry.se2 import exp, log
 from impslam.types import Array
@@ -49,14 +49,14 @@ STEP = 1e-6
 """m and rad, of finite differences."""
 
 
-class Noise(NamedTuple):
+class ErrorVariances(NamedTuple):
     """Variances (c,) of the error sources, and their information (c, c)."""
 
     variances: Array
     information: Array
 
 
-def noise_names(drive: Drive) -> tuple[str, ...]:
+def noise_names(drive: CalibrationDrive) -> tuple[str, ...]:
     """Return the names of the error sources: of matches, then keys of the config's odometry."""
     table = "slip" if isinstance(drive.model, DifferentialDrive) else "noise"
     along = "wheel_noise" if table == "slip" else "noise.forward"
@@ -64,7 +64,7 @@ def noise_names(drive: Drive) -> tuple[str, ...]:
     return (*MATCHING, along, *(f"{table}.{one}" for one in rest))
 
 
-def scan_covariances(drive: Drive) -> Array:
+def scan_covariances(drive: CalibrationDrive) -> Array:
     """Return the covariances C (k, 4, 4) of the motions, from the noise of their scans."""
     return np.asarray(np.linalg.inv(drive.motions.information + MIN_INFORMATION), np.float64)
 
@@ -78,7 +78,7 @@ class _Lengths(NamedTuple):
     right: Array
 
 
-def unit_covariances(drive: Drive, parameters: Array) -> Array:
+def unit_covariances(drive: CalibrationDrive, parameters: Array) -> Array:
     """Return B (c, k, 4, 4), the covariances for variances of 1, in the order of `noise_names`.
 
     Errors of odometry accumulate along the motion and are expressed at its middle: there, a heading
@@ -92,7 +92,7 @@ def unit_covariances(drive: Drive, parameters: Array) -> Array:
     return np.concatenate((_match_covariances(drive.motions), G @ Q @ np.swapaxes(G, -1, -2)))
 
 
-def covariance_slopes(drive: Drive, parameters: Array, variances: Array) -> Array:
+def covariance_slopes(drive: CalibrationDrive, parameters: Array, variances: Array) -> Array:
     """Return the derivatives (n, k, 4, 4) of the covariance of reading noise by the parameters (n,).
 
     Noise of odometry and jitter of stamps are properties of the readings; their effect on a motion depends
@@ -147,7 +147,7 @@ def _twist_slopes(
     return Q, half + np.swapaxes(half, -1, -2)
 
 
-def _jitter_slopes(drive: Drive, parameters: Array) -> Array:
+def _jitter_slopes(drive: CalibrationDrive, parameters: Array) -> Array:
     """Return the slopes (n, k, 4, 4) of the covariance by jitter of 1 s: speeds grow with the scales."""
     motions, p = drive.motions, len(drive.model.names)
     unaffected = p + np.array(
@@ -159,12 +159,12 @@ def _jitter_slopes(drive: Drive, parameters: Array) -> Array:
     return half + np.swapaxes(half, -1, -2)
 
 
-def _mount(drive: Drive, parameters: Array) -> tuple[complex, float]:
+def _mount(drive: CalibrationDrive, parameters: Array) -> tuple[complex, float]:
     x, y, yaw = parameters[len(drive.model.names) :][:3]
     return complex(x, y), float(yaw)
 
 
-def _driven(drive: Drive, parameters: Array) -> tuple[Motion, _Lengths]:
+def _driven(drive: CalibrationDrive, parameters: Array) -> tuple[Motion, _Lengths]:
     """Return the motions of base_link, and their lengths."""
     model, motions, p = drive.model, drive.motions, len(drive.model.names)
     latency, steps = parameters[p + 3], model.steps(parameters[:p])
@@ -229,7 +229,7 @@ def _into_lidar(translation: Complex, turn: Array, m: complex, yaw: float) -> Ar
     return G
 
 
-def fit_variances(e: Array, C: Array, B: Array, start: Array) -> Noise:
+def fit_variances(e: Array, C: Array, B: Array, start: Array) -> ErrorVariances:
     """Return the variances that explain residuals e (k, 4) best; the search begins at `start` (c,)."""
 
     def scaled(factors: Array) -> tuple[float, Array]:
@@ -241,7 +241,7 @@ def fit_variances(e: Array, C: Array, B: Array, start: Array) -> Noise:
     variances = best.x * start
     S_inv = np.linalg.inv(C + np.tensordot(variances, B, axes=1))
     SB = S_inv @ B
-    return Noise(variances, 0.5 * np.einsum("ckij,dkji->cd", SB, SB))
+    return ErrorVariances(variances, 0.5 * np.einsum("ckij,dkji->cd", SB, SB))
 
 
 def cost(variances: Array, e: Array, C: Array, B: Array) -> tuple[float, Array]:

@@ -30,7 +30,7 @@ WINDOW = 0.1
 """s on either side of a time over which speeds are averaged."""
 
 
-class Steps(NamedTuple):
+class MotionSteps(NamedTuple):
     """m steps and their derivatives by p parameters.
 
     Attributes
@@ -61,7 +61,7 @@ class OdometryModel(Protocol):
     def unknown(self) -> Mask:
         """(m,) steps whose motion is unknown."""
 
-    def steps(self, values: Array) -> Steps:
+    def steps(self, values: Array) -> MotionSteps:
         """Return the steps for parameters (p,)."""
 
     def turn_inputs(self) -> Array:
@@ -87,14 +87,14 @@ class DifferentialDrive:
     left: Array
     right: Array
 
-    def steps(self, values: Array) -> Steps:
+    def steps(self, values: Array) -> MotionSteps:
         """Return the steps; see `OdometryModel.steps`."""
         radius, ratio, track = values
         left, right, zero = self.left, ratio * self.right, np.zeros_like(self.left)
         path, turn = 0.5 * radius * (left + right), radius * (right - left) / track
         path_D = (0.5 * (left + right), 0.5 * radius * self.right, zero)
         turn_D = ((right - left) / track, radius * self.right / track, -turn / track)
-        return Steps(path + 0j, turn, np.column_stack(path_D) + 0j, np.column_stack(turn_D))
+        return MotionSteps(path + 0j, turn, np.column_stack(path_D) + 0j, np.column_stack(turn_D))
 
     def turn_inputs(self) -> Array:
         """Return the turns of both wheels."""
@@ -122,12 +122,12 @@ class ScaledTwists:
     unknown: Mask
     twists: Array
 
-    def steps(self, values: Array) -> Steps:
+    def steps(self, values: Array) -> MotionSteps:
         """Return the steps; see `OdometryModel.steps`."""
         p, (x, y, turn), zero = len(self.names), self.twists.T, np.zeros(len(self.twists))
         path, turn_D = x + 1j * y, np.column_stack((zero, turn, x))[:, :p]
         path_D = np.column_stack((path, zero, zero))[:, :p]
-        return Steps(values[0] * path, turn_D[:, 1:] @ values[1:], path_D, turn_D)
+        return MotionSteps(values[0] * path, turn_D[:, 1:] @ values[1:], path_D, turn_D)
 
     def turn_inputs(self) -> Array:
         """Return the turns, and the forward distances if there is a turn per metre."""
@@ -216,7 +216,7 @@ def motion(
     return Motion(translation, turns[:, 0], translation_D, turns[:, 1:])
 
 
-def _summed(steps: Steps) -> tuple[Array, Complex]:
+def _summed(steps: MotionSteps) -> tuple[Array, Complex]:
     """Return headings and positions (m + 1, 1 + p) at the readings, followed by their derivatives."""
     zero = np.zeros((1, 1 + steps.turn_D.shape[1]))
     turned = np.cumsum(np.column_stack((steps.turn, steps.turn_D)), axis=0)

@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from impslam.calibration.recording import Recording
+from impslam.calibration.recording import CalibrationRows
 from impslam.columns import Columns
 from impslam.types import Array, Mask
 
@@ -35,7 +35,7 @@ def disorder(stamps: Array) -> Array:
     return np.asarray(newest - oldest, np.float64)
 
 
-def reorder_stamps(recording: Recording) -> tuple[Recording, float]:
+def reorder_stamps(recording: CalibrationRows) -> tuple[CalibrationRows, float]:
     """Return a recording with usable stamps, and the amount by which its stamps run back, s rms.
 
     Above `MAX_DISORDER`, all stamps of odometry and scans are replaced by times from the order of the rows.

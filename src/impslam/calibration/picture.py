@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from impslam.calibration.calibrate import Calibration
-from impslam.calibration.residuals import Drive, lidar_poses, residuals
+from impslam.calibration.residuals import CalibrationDrive, lidar_poses, residuals
 from impslam.evaluation.colours import INK, ODOMETRY, PALE, PATH
 from impslam.evaluation.plots import TIGHT, as_png, new_figure, quiet, style
 from impslam.types import Array
@@ -32,7 +32,7 @@ def write_picture(calibration: Calibration, file: Path, title: str) -> None:
     file.write_bytes(as_png(figure, **TIGHT))
 
 
-def _draw_path(axes: Axes, drive: Drive, calibration: Calibration) -> None:
+def _draw_path(axes: Axes, drive: CalibrationDrive, calibration: Calibration) -> None:
     """Draw the lidar's path by its scans, and by odometry with both sets of parameters."""
     path, model = drive.path, drive.model
     if path is not None:

@@ -18,7 +18,7 @@ from impslam.types import Array, Imu, LaserScan, Message, TruePose
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Recording:
+class CalibrationRows:
     """The rows of a log that a calibration reads, in pieces of one layout each.
 
     Attributes
@@ -53,7 +53,7 @@ def first_lidar(config: Config) -> tuple[str, Lidar2D]:
 
 def record(
     config: Config, source: Source, progress: Callable[[], object] = lambda: None
-) -> Recording:
+) -> CalibrationRows:
     """Read a log; call `progress` after each batch. See `record_batches`."""
     with source:
         streams = _streams(config)
@@ -63,7 +63,7 @@ def record(
 
 def record_batches(
     config: Config, batches: Iterable[Batch], defaults: Mapping[type[Message], str] | None = None
-) -> Recording:
+) -> CalibrationRows:
     """Return the rows of the config's odometry and first lidar, and of any inertial unit.
 
     Clock steps are corrected as in a run, so that all stamps are on one time line. `defaults` are the
@@ -88,7 +88,7 @@ def _streams(config: Config) -> Streams:
     )
 
 
-def _record(streams: Streams, batches: Iterable[Batch]) -> Recording:
+def _record(streams: Streams, batches: Iterable[Batch]) -> CalibrationRows:
     clocks, kept = StreamClocks(), dict[str, list[Columns]]()
     for batch in batches:
         rows = [c for c in batch.values() if c.kind in (Imu, TruePose) and len(c)]
@@ -98,7 +98,7 @@ def _record(streams: Streams, batches: Iterable[Batch]) -> Recording:
             kept.setdefault(columns.stream, []).append(replace(columns, values=values))
     (lidar,) = streams.sensors.values()
     every = [columns for pieces in kept.values() for columns in pieces]
-    return Recording(
+    return CalibrationRows(
         _joined(kept.get(streams.odometry.stream, [])),
         tuple(c for c in _joined(kept.get(lidar.stream, [])) if len(c["angles"])),
         _table([c for c in every if c.kind is Imu], lambda c: c["angular_velocity"][:, 2:], 2),

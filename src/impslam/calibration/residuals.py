@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from impslam.calibration.gyro import Gyro
+from impslam.calibration.gyro import GyroCalibration
 from impslam.calibration.lidar_path import LidarPath
 from impslam.calibration.odometry_models import Complex, Motion, OdometryModel, motion
 from impslam.calibration.scan_pairs import LidarMotions
@@ -24,7 +24,7 @@ LIDAR_PARAMETERS = ("x", "y", "yaw", "latency", "range_offset", "range_scale")
 
 
 @dataclass(frozen=True, eq=False)
-class Drive:
+class CalibrationDrive:
     """One log: odometry readings with their model, the lidar's motions and path, and errors of a gyro.
 
     `disorder` is the amount by which its stamps run back, s rms: no latency is known better.
@@ -33,7 +33,7 @@ class Drive:
     model: OdometryModel
     motions: LidarMotions
     path: LidarPath | None = None
-    gyro: Gyro | None = None
+    gyro: GyroCalibration | None = None
     disorder: float = 0.0
 
 
@@ -44,7 +44,7 @@ class Residuals(NamedTuple):
     by_all: Array
 
 
-def residuals(drive: Drive, parameters: Array) -> Residuals:
+def residuals(drive: CalibrationDrive, parameters: Array) -> Residuals:
     """Return the residuals for parameters (p + 6,): those of odometry, then `LIDAR_PARAMETERS`."""
     found, p = drive.motions, len(drive.model.names)
     x, y, yaw, latency, offset, scale = parameters[p:]
@@ -72,7 +72,7 @@ def _seen(base: Motion, m: complex, yaw: float, scale: float) -> tuple[Complex, 
     return L, np.column_stack((by_base[:, :-1], own))
 
 
-def lidar_poses(drive: Drive, parameters: Array, times: Array) -> Array:
+def lidar_poses(drive: CalibrationDrive, parameters: Array, times: Array) -> Array:
     """Return the lidar's poses (k, 3) by odometry at times (k,), s, in its frame at the first one."""
     p = len(drive.model.names)
     x, y, yaw, latency, _, scale = parameters[p:]

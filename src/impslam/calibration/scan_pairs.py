@@ -93,7 +93,7 @@ class Surface(NamedTuple):
     shared: float
 
 
-class Alignment(NamedTuple):
+class PairAlignment(NamedTuple):
     """Pose of one scan relative to another; see `LidarMotions`."""
 
     T_a_b: Array
@@ -177,7 +177,7 @@ def surface(features: Features) -> Surface:
     return Surface(smooth, normals, float(count.mean()) if len(count) else 1.0)
 
 
-def align(a: Surface, b: Surface, guess: Array, noise: tuple[float, float]) -> Alignment | None:
+def align(a: Surface, b: Surface, guess: Array, noise: tuple[float, float]) -> PairAlignment | None:
     """Return the pose of scan b in scan a, near a guess (3,); None if they show different places.
 
     `noise` is the standard deviation of a range at 0 (m), and its growth with range; the information is
@@ -208,7 +208,7 @@ def align(a: Surface, b: Surface, guess: Array, noise: tuple[float, float]) -> A
         0.5 * J[near].T @ e[near]
     )
     H /= chi2 * 0.5 * (a.shared + b.shared)
-    return Alignment(pose, joint, H, float(off[near].std()), count / smaller)
+    return PairAlignment(pose, joint, H, float(off[near].std()), count / smaller)
 
 
 Trees: TypeAlias = tuple[cKDTree, cKDTree]

@@ -16,8 +16,8 @@ import numpy as np
 
 from impslam.calibration.lidar_path import deskewed
 from impslam.calibration.odometry_models import motion
-from impslam.calibration.recording import Recording
-from impslam.calibration.residuals import Drive
+from impslam.calibration.recording import CalibrationRows
+from impslam.calibration.residuals import CalibrationDrive
 from impslam.calibration.scan_pairs import align, sweep_surface
 from impslam.geometry.se2 import compose, inverse
 from impslam.sensors.lidar2d import Lidar2D
@@ -66,7 +66,7 @@ class Square(NamedTuple):
 
 
 def measure_square(
-    lidar: Lidar2D, recording: Recording, drive: Drive, values: Array
+    lidar: Lidar2D, recording: CalibrationRows, drive: CalibrationDrive, values: Array
 ) -> Square | None:
     """Measure the return error of a square by its first and last scan; None if they do not match.
 

@@ -43,7 +43,7 @@ def map_arena(
     quiet: bool,
 ) -> None:
     """Simulate the arena, map it, and print the map beside the truth."""
-    clock, world, end = Clock(), load_world(WORLD), EndOfRun()
+    clock, world, end = DemoClock(), load_world(WORLD), EndOfRun()
     start = list(map(float, world.robot.start))
     with run_folder(output, WORLD, force=force, also=LOG_FILES) as folder:
         log = folder / LOG
@@ -63,7 +63,7 @@ def map_arena(
         console.echo(f"report: {folder / 'report.html'}")
 
 
-class Clock:
+class DemoClock:
     """Measures the seconds of each part of the demo, and separately the time spent compiling."""
 
     def __init__(self) -> None:
@@ -131,7 +131,7 @@ def _coordinates(pose: Array) -> tuple[str, str, str]:
     return f"{pose[0]:.3f}", f"{pose[1]:.3f}", f"{math.degrees(pose[2]):.2f}"
 
 
-def _show_times(clock: Clock, outcome: Outcome | None) -> None:
+def _show_times(clock: DemoClock, outcome: Outcome | None) -> None:
     """Print the time of each part and the median time of each stage."""
     parts = [f"{name} {seconds:.1f} s" for name, seconds in clock.parts.items()]
     if clock.compiling > MIN_COMPILE_TIME:

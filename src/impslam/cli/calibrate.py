@@ -19,7 +19,7 @@ Result: TypeAlias = "tuple[Config, dict[str, Any], list[str]]"
 
 if TYPE_CHECKING:
     from impslam.calibration.calibrate import Calibration
-    from impslam.calibration.residuals import Drive
+    from impslam.calibration.residuals import CalibrationDrive
     from impslam.config import Config
 
 MIN_FITTING_SHARE = 0.9
@@ -122,7 +122,7 @@ def _calibrate(  # see `calibrate`
 
 def _read(
     logs: Sequence[Path], base: str | None, settings: Sequence[str], quiet: bool
-) -> tuple[Config, list[Drive]]:
+) -> tuple[Config, list[CalibrationDrive]]:
     """Return the config that fits the first log, and the drives of all logs."""
     from impslam.calibration.calibrate import extract_drives
     from impslam.calibration.recording import record

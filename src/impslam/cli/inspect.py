@@ -12,7 +12,7 @@ from impslam.cli.console import Columns, Common, ConfigName, Flag, Settings, Top
 from impslam.cli.progress import display, with_progress
 
 if TYPE_CHECKING:
-    from impslam.cli.survey import Beams, Survey
+    from impslam.cli.survey import ScanGeometry, Survey
     from impslam.config import Config
     from impslam.diagnosis.finding import Finding
     from impslam.sources.base import Problems, Stream
@@ -99,7 +99,7 @@ def _show_clocks(survey: Survey) -> None:
         )
 
 
-def _scan_facts(beams: Beams) -> dict[str, str]:
+def _scan_facts(beams: ScanGeometry) -> dict[str, str]:
     if not beams.counts:
         return {"scans": "none"}
     low, high = beams.limits

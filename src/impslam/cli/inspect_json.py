@@ -8,7 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from impslam.cli.survey import Beams, Clock, Survey
+from impslam.cli.survey import ScanGeometry, StampStatistics, Survey
 from impslam.evaluation.json_values import json_values
 from impslam.sources.base import Problems, Source, Stream
 
@@ -41,7 +41,7 @@ def as_json(
     return json.dumps(json_values(facts), indent=2, ensure_ascii=False, allow_nan=False)
 
 
-def _clock(clock: Clock) -> dict[str, Any]:
+def _clock(clock: StampStatistics) -> dict[str, Any]:
     return {
         "count": clock.count,
         "rate_hz": clock.rate,
@@ -53,7 +53,7 @@ def _clock(clock: Clock) -> dict[str, Any]:
     }
 
 
-def _beams(beams: Beams) -> dict[str, Any] | None:
+def _beams(beams: ScanGeometry) -> dict[str, Any] | None:
     if not beams.counts:
         return None
     return {

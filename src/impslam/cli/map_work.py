@@ -74,10 +74,10 @@ def result_folder(folder: Path, files: frozenset[str]) -> Path:
 
 def write_picture(path: Path, known: Map, image: MapImage) -> None:
     """Draw a map: grid, path and landmarks."""
-    from impslam.observers.map_picture import Scene, drawn_path, map_png
+    from impslam.observers.map_picture import PictureContent, drawn_path, map_png
 
     none = np.empty((0, 2))
-    scene = Scene(image, drawn_path(known), none, none, known.landmarks)
+    scene = PictureContent(image, drawn_path(known), none, none, known.landmarks)
     write_bytes(path, map_png(scene))
 
 

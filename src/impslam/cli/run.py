@@ -54,7 +54,7 @@ class LivePage:
 
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True)
-class Continuation:
+class ContinuationOptions:
     """Options of a run that continues a map.
 
     Parameters
@@ -106,7 +106,7 @@ def run(  # noqa: PLR0913  # each is an option that a user may give
     columns: Columns = (),
     seed: Seed = None,
     force: Force = False,
-    continuation: Continuation | None = None,
+    continuation: ContinuationOptions | None = None,
     page: LivePage | None = None,
     exports: Exports | None = None,
     common: Common | None = None,

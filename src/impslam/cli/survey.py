@@ -24,7 +24,7 @@ MAX_POOR_SHARE = 0.5
 
 
 @dataclass(slots=True)
-class Clock:
+class StampStatistics:
     """Statistics of the stamps of one message type."""
 
     count: int = 0
@@ -58,7 +58,7 @@ class Clock:
 
 
 @dataclass(slots=True)
-class Beams:
+class ScanGeometry:
     """The geometry of the scans."""
 
     counts: dict[int, int] = field(default_factory=dict)
@@ -115,8 +115,8 @@ class Survey:
         self._config, self._robot = config, config.make_robot()
         self.unused, self._head = self._robot.problems, Head(SCANS)
         self.findings: list[Finding] = []
-        self.clocks: dict[str, Clock] = {}
-        self.beams = Beams()
+        self.clocks: dict[str, StampStatistics] = {}
+        self.beams = ScanGeometry()
         self.distance = self.rotation = 0.0
         self.problems = Problems()
 
@@ -140,7 +140,7 @@ class Survey:
         return self._robot.streams.named
 
     def _add(self, message: Message) -> None:
-        self.clocks.setdefault(type(message).__name__, Clock()).add(message.stamp)
+        self.clocks.setdefault(type(message).__name__, StampStatistics()).add(message.stamp)
         if isinstance(message, LaserScan):
             lidars = (s for s in self._robot.sensors.values() if isinstance(s, Lidar2D))
             self.beams.add(message, next(lidars, None))
@@ -190,7 +190,7 @@ class Survey:
         advice = f"use --set odometry.kind={fix}" if fix else "record wheel angles or odometry"
         return f"odometry {kind!r} needs {needed}, but the log contains none: {advice}"
 
-    def _check_clocks(self, name: str, motion: Clock) -> None:
+    def _check_clocks(self, name: str, motion: StampStatistics) -> None:
         sensor = self._robot.sensors[name]
         scans, latency = self.clocks[sensor.consumes.__name__], getattr(sensor, "latency", 0.0)
         if scans.last - latency < motion.first or scans.first - latency > motion.last:

@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from impslam.diagnosis.robust import Fit, biweight, fit, robust_sigma, sandwich
+from impslam.diagnosis.robust import RobustFit, biweight, fit, robust_sigma, sandwich
 from impslam.types import Array
 
 MIN_STRETCHES = 12
@@ -73,8 +73,8 @@ def drive_axis(motions: Array) -> Axis:
 class Agreement(NamedTuple):
     """The fits of S (parameters [a, b]) and R (parameters [c, d])."""
 
-    distance: Fit
-    turn: Fit
+    distance: RobustFit
+    turn: RobustFit
 
     @property
     def is_reversed(self) -> bool:

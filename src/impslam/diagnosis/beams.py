@@ -32,7 +32,7 @@ MIN_TRAVEL = (2.0, 1.5)
 """m, rad of laser motion needed to attribute a constant range to the robot itself."""
 
 
-class Beams(NamedTuple):
+class BeamSamples(NamedTuple):
     """Samples of scans: `ranges` (m, n) as received, `valid` (m, n) by the config, `angles` (n,) rad."""
 
     ranges: Array
@@ -48,7 +48,7 @@ def check_beams(e: Evidence) -> list[Finding]:
     return [*_no_return(e, sample), *_body(e, sample), *_dead(e, sample)]
 
 
-def _sample(e: Evidence) -> Beams | None:
+def _sample(e: Evidence) -> BeamSamples | None:
     """Return scans evenly spread over the longest piece of one layout."""
     piece = max(e.recording.scans, key=len, default=None)
     if piece is None or len(piece) < 10:
@@ -56,10 +56,10 @@ def _sample(e: Evidence) -> Beams | None:
     rows = np.unique(np.linspace(0, len(piece) - 1, min(MAX_SCANS, len(piece))).astype(np.int64))
     piece = piece.take(rows)
     scans = unmounted(e.lidar).sweeps(piece, np.zeros((len(rows), 3)))
-    return Beams(piece["ranges"], scans.valid, piece["angles"])
+    return BeamSamples(piece["ranges"], scans.valid, piece["angles"])
 
 
-def _no_return(e: Evidence, sample: Beams) -> list[Finding]:
+def _no_return(e: Evidence, sample: BeamSamples) -> list[Finding]:
     values, counts = np.unique(sample.ranges[sample.valid], return_counts=True)
     if len(values) < 2:
         return []
@@ -86,7 +86,7 @@ def _limit(e: Evidence, values: Array, value: float) -> str:
     return f"{e.lidar_key}.range_min={math.ceil(value * 1000.0 + 1.0) / 1000.0:.3f}"
 
 
-def _body(e: Evidence, sample: Beams) -> list[Finding]:
+def _body(e: Evidence, sample: BeamSamples) -> list[Finding]:
     twists = e.sweep_motions.twists
     distance, turn = np.hypot(*twists[:, :2].T).sum(), np.abs(twists[:, 2]).sum()
     if distance < MIN_TRAVEL[0] or turn < MIN_TRAVEL[1]:
@@ -102,7 +102,7 @@ def _body(e: Evidence, sample: Beams) -> list[Finding]:
     return [_own_body(e, sample, hits, farthest)]
 
 
-def _dead(e: Evidence, sample: Beams) -> list[Finding]:
+def _dead(e: Evidence, sample: BeamSamples) -> list[Finding]:
     """Find sectors within the field of view in which no beam ever returns."""
     seen = np.flatnonzero(sample.valid.any(axis=0))
     gaps = np.diff(seen) - 1
@@ -116,7 +116,7 @@ def _dead(e: Evidence, sample: Beams) -> list[Finding]:
     return [Finding("dead sector", what, harmful=False)]
 
 
-def _own_body(e: Evidence, sample: Beams, hits: Ints, farthest: float) -> Finding:
+def _own_body(e: Evidence, sample: BeamSamples, hits: Ints, farthest: float) -> Finding:
     angles = np.degrees(sample.angles[hits])
     what = (
         f"{len(hits)} beams between {angles.min():.0f} and {angles.max():.0f} deg keep a range of up to "

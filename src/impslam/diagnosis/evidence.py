@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from impslam.calibration.lidar_path import lidar_path
-from impslam.calibration.recording import Recording, first_lidar
+from impslam.calibration.recording import CalibrationRows, first_lidar
 from impslam.columns import Columns
 from impslam.config import Config
 from impslam.diagnosis.agreement import MIN_STRETCHES, Agreement, Axis, drive_axis, fit_agreement
@@ -44,7 +44,7 @@ class Evidence:
     name: str
     lidar: Lidar2D
     odometry: Odometry
-    recording: Recording
+    recording: CalibrationRows
     sweep_motions: SweepMotions
     timing: Timing
     times: Array
@@ -75,7 +75,7 @@ class Evidence:
         return "mount" in self.config.sensors[self.name]
 
 
-def gather_evidence(config: Config, recording: Recording) -> Evidence:
+def gather_evidence(config: Config, recording: CalibrationRows) -> Evidence:
     """Compare the lidar's motions in a recording with odometry; the config must have a lidar."""
     robot = config.make_robot()
     name, lidar = first_lidar(config)

@@ -54,7 +54,7 @@ TURN_SIGMAS = 3.0
 """Standard deviations within which turns are right: if only distances are off, the ranges may be wrong."""
 
 
-class Estimate(NamedTuple):
+class ScaleEstimate(NamedTuple):
     """A number and its standard deviation."""
 
     value: float
@@ -162,10 +162,10 @@ def _is_sound(keyframe: Keyframe, revision: Revision) -> bool:
 
 def _of_wheels(agreed: Agreement, track: float, *, turn: bool) -> Iterator[str]:
     a, c, d = _parameters(agreed)
-    radius = Estimate(1.0 / a.value - 1.0, a.sigma / a.value**2)
+    radius = ScaleEstimate(1.0 / a.value - 1.0, a.sigma / a.value**2)
     ratio = d.value / a.value
-    wide = Estimate(ratio - 1.0, ratio * math.hypot(d.sigma / d.value, a.sigma / a.value))
-    unequal = Estimate(-track * c.value / a.value, track * c.sigma / a.value)
+    wide = ScaleEstimate(ratio - 1.0, ratio * math.hypot(d.sigma / d.value, a.sigma / a.value))
+    unequal = ScaleEstimate(-track * c.value / a.value, track * c.sigma / a.value)
     turns_fit = abs(d.value - 1.0) < TURN_SIGMAS * d.sigma
     if turn and turns_fit and radius.is_clear and wide.is_clear:
         yield (
@@ -194,11 +194,11 @@ def _of_poses(agreed: Agreement, *, turn: bool) -> Iterator[str]:
         yield f"odometry turns by {pull} per metre of straight driving"
 
 
-def _parameters(agreed: Agreement) -> tuple[Estimate, Estimate, Estimate]:
+def _parameters(agreed: Agreement) -> tuple[ScaleEstimate, ScaleEstimate, ScaleEstimate]:
     """Return a, c and d."""
     distance, turn = agreed
     return (
-        Estimate(float(distance.p[0]), float(distance.sigma[0])),
-        Estimate(float(turn.p[0]), float(turn.sigma[0])),
-        Estimate(float(turn.p[1]), float(turn.sigma[1])),
+        ScaleEstimate(float(distance.p[0]), float(distance.sigma[0])),
+        ScaleEstimate(float(turn.p[0]), float(turn.sigma[0])),
+        ScaleEstimate(float(turn.p[1]), float(turn.sigma[1])),
     )

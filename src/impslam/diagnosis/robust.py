@@ -16,7 +16,7 @@ biweight; Holland & Welsch 1977)."""
 MAX_ITERATIONS = 30
 
 
-class Fit(NamedTuple):
+class RobustFit(NamedTuple):
     """Solution of y = A p.
 
     Attributes
@@ -34,16 +34,16 @@ class Fit(NamedTuple):
         """(n,) standard deviations of the parameters."""
         return np.sqrt(np.diag(self.covariance))
 
-    def scaled(self, factor: float) -> Fit:
+    def scaled(self, factor: float) -> RobustFit:
         """Return the fit of y times a factor."""
-        return Fit(factor * self.p, factor**2 * self.covariance)
+        return RobustFit(factor * self.p, factor**2 * self.covariance)
 
     def is_negative(self, k: int) -> bool:
         """Return whether parameter k is significantly below 0."""
         return bool(self.p[k] < -CLEAR * self.sigma[k])
 
 
-def fit(A: Array, y: Array, block: int = 1, min_sigma: float = 1e-9) -> Fit:
+def fit(A: Array, y: Array, block: int = 1, min_sigma: float = 1e-9) -> RobustFit:
     """Fit the parameters (n,) of m rows A (m, n) and y (m,), m > n; see `sandwich` for `block`.
 
     `min_sigma` is a lower bound of the standard deviation of a row.
@@ -62,7 +62,7 @@ def fit(A: Array, y: Array, block: int = 1, min_sigma: float = 1e-9) -> Fit:
             weights = biweight(residuals, scale)
             if (np.abs(p - before) <= 1e-9 * np.abs(p) + 1e-12).all():
                 break
-    return Fit(p, sandwich(A, residuals, scale, block))
+    return RobustFit(p, sandwich(A, residuals, scale, block))
 
 
 def sandwich(J: Array, residuals: Array, scale: float, block: int = 1) -> Array:

@@ -15,8 +15,8 @@ from impslam.geometry.angles import wrap
 from impslam.geometry.chain import advance
 from impslam.geometry.kernels import kernel
 from impslam.geometry.se2 import between, compose, inverse
-from impslam.graph.bearings import Scans
-from impslam.graph.bundle import Fit, refine
+from impslam.graph.bearings import ScanFeatures
+from impslam.graph.bundle import RefinementSettings, refine
 from impslam.graph.overlaps import Nearness, overlaps
 from impslam.graph.pose_graph import Edges
 from impslam.growing import GrowingArray
@@ -178,14 +178,14 @@ class KeyframeLog:
         """Distance since the newest node, m."""
         return float(self.distance[-1] - self.distance[self.nodes[-1]])
 
-    def scans(self, rows: Ints | None = None) -> Scans:
+    def scans(self, rows: Ints | None = None) -> ScanFeatures:
         """Return the features of all keyframes, or of those at some rows (r,)."""
         none = np.empty((0, 5), np.float32)
         views = self.views if rows is None else [self.views[row] for row in rows]
         features = [none if view is None else view.features for view in views]
         lasers = [np.zeros(2) if view is None else view.laser for view in views]
         starts = np.concatenate([[0], np.cumsum([len(r) for r in features])])
-        return Scans(np.concatenate([none, *features]), starts, np.array(lasers))
+        return ScanFeatures(np.concatenate([none, *features]), starts, np.array(lasers))
 
     def keyframes(self, poses: Array, rows: Ints) -> Keyframes:
         """Return some rows (r,) of the keyframes, with poses (k, 3) of all, as part of a map."""
@@ -299,7 +299,7 @@ def refined(poses: Array, keys: KeyframeLog, rounds: int = 2, part: Part | None 
     pairs = overlaps(poses[rows], Nearness(turn=math.pi))
     pairs = pairs[(pairs >= len(fixed)).any(axis=1)]
     out = poses.copy()
-    scans, fit = keys.scans(rows), Fit(rounds=rounds)
+    scans, fit = keys.scans(rows), RefinementSettings(rounds=rounds)
     out[rows] = refine(poses[rows], scans, edges, pairs, fixed, fit).poses
     dropped = ~keys.is_kept
     out[dropped] = compose(out[keys.hosts[dropped]], keys.T_host[dropped])

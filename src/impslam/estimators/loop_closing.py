@@ -21,7 +21,7 @@ from impslam.recognition.consistency import Relation, consistent
 from impslam.recognition.correlative import Window
 from impslam.recognition.places import Closure, Recogniser
 from impslam.recognition.submap import Submap, gather
-from impslam.recognition.verify import MIN_MATCHED, Verdict
+from impslam.recognition.verify import MIN_MATCHED, ClosureStrength
 from impslam.types import Array, Ints
 
 REFERENCE_CELL, QUERY_CELL = 0.05, 0.1  # m: surfels of the map, and enough points for a search
@@ -174,7 +174,7 @@ class LoopCloser:
             return None
         attempt = _Attempt(u, node, between(graph.poses[u], pose), 0.0)
         closure = self._try(attempt, query, keys, graph)
-        if closure is None or closure.verdict != Verdict.STRONG:
+        if closure is None or closure.verdict != ClosureStrength.STRONG:
             return None
         return _Pending(u, node, closure, float(keys.distance[keys.nodes[node]]))
 
@@ -210,7 +210,7 @@ class LoopCloser:
     def _accept(self, new: _Pending, graph: PoseGraph, window: float) -> bool:
         """Add a closure and those that agree with it to the graph, or keep it pending."""
         if window <= SAFE_WINDOW:
-            if new.closure.verdict != Verdict.STRONG:
+            if new.closure.verdict != ClosureStrength.STRONG:
                 return False
             return _add(new, graph)
         self._pending = [

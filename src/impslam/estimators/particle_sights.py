@@ -76,7 +76,7 @@ class Sight(NamedTuple):
         return cls(book, np.array(indices), z, R, np.array(ends, np.float64))
 
 
-class Pairs(NamedTuple):
+class ParticleMatches(NamedTuple):
     """n matches of one kind: particle, row of the observation in its sight, slot in its book."""
 
     sight: Sight
@@ -110,7 +110,7 @@ class Choice(NamedTuple):
     best : matches of the likeliest particle, by landmark id
     """
 
-    pairs: list[Pairs]
+    pairs: list[ParticleMatches]
     matched: Mask
     new: Mask
     best: tuple[Match, ...]
@@ -148,7 +148,7 @@ def associate(
         (mine,) = np.nonzero(row_of[which] >= 0)
         if len(mine):
             slots = table[mine, 1] % stride
-            pairs.append(Pairs(sight, particles[mine], row_of[which[mine]], slots))
+            pairs.append(ParticleMatches(sight, particles[mine], row_of[which[mine]], slots))
             for n in np.flatnonzero(particles[mine] == cloud.best).tolist():
                 number, match = int(sight.book.ids[slots[n]]), chosen.matches[mine[n]]
                 best.append(match._replace(observation=int(which[mine[n]]), landmark=number))

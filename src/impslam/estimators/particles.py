@@ -36,7 +36,7 @@ from impslam.estimators.base import START_SIGMA, Estimator, check_keyframe, is_f
 from impslam.estimators.blur import blurred
 from impslam.estimators.particle_book import Book
 from impslam.estimators.particle_kernels import add_information, axes, correct, systematic
-from impslam.estimators.particle_sights import Cloud, Pairs, associate, sights
+from impslam.estimators.particle_sights import Cloud, ParticleMatches, associate, sights
 from impslam.estimators.sampling import moved, normalised
 from impslam.filters.base import Filter
 from impslam.geometry.angles import wrap
@@ -166,7 +166,7 @@ class Particles(Estimator):
             poses, roots = moved(poses, roots, self._normals()), np.zeros_like(roots)
         return Cloud(poses, roots, int(np.argmax(self._log_weights)))
 
-    def _sample(self, pairs: Sequence[Pairs], cloud: Cloud) -> tuple[Array, Array]:
+    def _sample(self, pairs: Sequence[ParticleMatches], cloud: Cloud) -> tuple[Array, Array]:
         """Return poses (P, 3) sampled by motion and matches, and -2 log likelihood (P,) of the matches.
 
         Raises
@@ -189,7 +189,7 @@ class Particles(Estimator):
         cost += 2.0 * np.log(np.einsum("pii->pi", L)).sum(1) - (y[..., 0] ** 2).sum(1)
         return moved(cloud.poses, cloud.roots, u), cost
 
-    def _correct(self, pairs: Pairs) -> None:
+    def _correct(self, pairs: ParticleMatches) -> None:
         """Correct the matched landmarks from the sampled poses."""
         predicted, (book, _, z, R, _) = pairs.predict(self._poses), pairs.sight
         nu = book.model.residual(z[pairs.rows], predicted.z)

@@ -82,7 +82,7 @@ class Mark:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Estimate:
+class SmootherEstimate:
     """Poses (n, 3) with covariances (n, 3, 3), and the landmarks' states and covariances by id."""
 
     poses: Array
@@ -157,7 +157,7 @@ class Smoother:
         """Return the state (dim,) of a landmark."""
         return self._marks[number].state(self._isam.calculateEstimateVector(_m(number)))
 
-    def optimum(self) -> Estimate:
+    def optimum(self) -> SmootherEstimate:
         """Return the optimum of the whole graph with its marginals; this object does not change.
 
         Raises
@@ -170,7 +170,7 @@ class Smoother:
         except RuntimeError as error:
             raise NumericalError(in_a_line(error)) from None
 
-    def _optimum(self) -> Estimate:
+    def _optimum(self) -> SmootherEstimate:
         g, isam = self._gtsam, _isam2(self._gtsam, _CONVERGED)  # with the options of the old one
         isam.update(self._isam.getFactorsUnsafe(), self._isam.calculateBestEstimate())
         for _ in range(_MAX_ITERATIONS):
@@ -184,7 +184,7 @@ class Smoother:
             delta = best.atVector(_m(number))
             D = mark.jacobian(delta)
             found[number] = mark.state(delta), D @ isam.marginalCovariance(_m(number)) @ D.T
-        return Estimate(poses, np.array(P), found)
+        return SmootherEstimate(poses, np.array(P), found)
 
     def _shared(self, observation: Observation) -> tuple[Array, Array]:
         """Return the error of z (dz,) per unit of its sensor's common error, or 0, and R without it."""

@@ -21,7 +21,7 @@ from impslam.errors import ConfigError, NumericalError
 from impslam.estimators.base import START_SIGMA, Draft, is_finite
 from impslam.estimators.blur import blurred
 from impslam.estimators.landmarks import Landmarks
-from impslam.estimators.smoother import Estimate, Smoother
+from impslam.estimators.smoother import Smoother, SmootherEstimate
 from impslam.growing import GrowingArray
 from impslam.map import Keyframe, Map, Revision
 from impslam.types import Array, Landmark, Observation
@@ -45,7 +45,7 @@ class Smoothing(Landmarks):
     """The graph's pose of each keyframe; after an unknown motion, that of the previous keyframe."""
     _covariances: GrowingArray = PrivateAttr()
     _dims: dict[int, int] = PrivateAttr(default_factory=dict)
-    _settled: Estimate | None = PrivateAttr(None)
+    _settled: SmootherEstimate | None = PrivateAttr(None)
 
     def start(
         self,

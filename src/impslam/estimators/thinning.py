@@ -22,7 +22,7 @@ from impslam.geometry.chain import advance
 from impslam.geometry.kernels import kernel
 from impslam.geometry.se2 import between
 from impslam.graph.bearings import Fans, nearest_feature, sort_by_bearing
-from impslam.graph.bundle import Fit, refine
+from impslam.graph.bundle import RefinementSettings, refine
 from impslam.graph.overlaps import METRES_PER_RADIAN
 from impslam.graph.pose_graph import Edges
 from impslam.recognition.submap import Floats
@@ -125,7 +125,9 @@ def _align(rows: Ints, near: Ints, keys: KeyframeLog, graph: PoseGraph) -> _Alig
     prior = np.broadcast_to(np.diag(1.0 / PRIOR_SIGMA**2), (m, 3, 3))
     known = Edges(best + m, np.arange(m), between(around[best], at), prior, np.full(m, np.inf))
     edges = known.joined(motions(keys, rows))
-    done = refine(poses, scans, edges, pairs, np.arange(m, len(poses)), Fit(rounds=4))
+    done = refine(
+        poses, scans, edges, pairs, np.arange(m, len(poses)), RefinementSettings(rounds=4)
+    )
     covariances = np.asarray(np.linalg.inv(done.information + prior)) + np.diag(MIN_SIGMA**2)
     T, hosts = between(around[best], done.poses[:m]), near[best]
     matched = done.shares >= MIN_MATCHED

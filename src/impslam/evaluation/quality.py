@@ -27,7 +27,7 @@ import numpy as np
 
 from impslam.building.free_space import BEARINGS, Profile, profile
 from impslam.geometry.kernels import kernel, plain
-from impslam.graph.bearings import Fans, Scans, nearest_feature, sort_by_bearing
+from impslam.graph.bearings import Fans, ScanFeatures, nearest_feature, sort_by_bearing
 from impslam.graph.overlaps import Nearness, overlaps
 from impslam.map import Keyframes, Map
 from impslam.maps.grid import PlacedScans
@@ -125,7 +125,7 @@ def _fans(scans: PlacedScans) -> Fans:
     """Return the points of the scans with their normals, sorted by bearing."""
     features = np.empty((len(scans.points), 5), np.float32)
     starts = _find(scans, features)
-    return sort_by_bearing(Scans(features[: starts[-1]].copy(), starts, scans.origins))
+    return sort_by_bearing(ScanFeatures(features[: starts[-1]].copy(), starts, scans.origins))
 
 
 @kernel

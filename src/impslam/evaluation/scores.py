@@ -32,7 +32,7 @@ from impslam.evaluation.landmarks import (
 from impslam.evaluation.options import GATE, Alignment
 from impslam.evaluation.run_files import RecordedRun
 from impslam.evaluation.trajectory import (
-    Pairs,
+    PosePairs,
     Statistics,
     align,
     associate,
@@ -82,7 +82,7 @@ class PathScore:
     consistency : None without covariances or without a true start
     """
 
-    pairs: Pairs
+    pairs: PosePairs
     T_truth_map: Array
     T_truth_start: Array | None
     given: Statistics
@@ -139,14 +139,14 @@ def score_path(run: RecordedRun, truth: Array, align_by: Alignment, delta: float
     return PathScore(fitted, T_truth_map, start, given, aligned, turn, metres, radians, consistency)
 
 
-def _relative(pairs: Pairs, delta: float) -> tuple[Statistics, Statistics] | tuple[None, None]:
+def _relative(pairs: PosePairs, delta: float) -> tuple[Statistics, Statistics] | tuple[None, None]:
     try:
         return rpe(pairs, delta)
     except ImpError:
         return None, None
 
 
-def _consistency(run: RecordedRun, pairs: Pairs, T_truth_map: Array) -> Consistency | None:
+def _consistency(run: RecordedRun, pairs: PosePairs, T_truth_map: Array) -> Consistency | None:
     """Return the consistency of a run, with the truth aligned to the map at the start."""
     values, dof = normalised_errors(run, pairs, T_truth_map)
     if not len(values):
@@ -155,7 +155,7 @@ def _consistency(run: RecordedRun, pairs: Pairs, T_truth_map: Array) -> Consiste
     return Consistency(dof, len(values), mean, *bounds, share_within(values, 1, dof))
 
 
-def normalised_errors(run: RecordedRun, pairs: Pairs, T_truth_map: Array) -> tuple[Array, int]:
+def normalised_errors(run: RecordedRun, pairs: PosePairs, T_truth_map: Array) -> tuple[Array, int]:
     """Return the normalised error squared (n,) of the poses after leaving the start, and its dof.
 
     The dof are 3, or 2 if the truth has no headings. n is 0 if no covariance is invertible.

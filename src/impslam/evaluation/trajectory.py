@@ -34,18 +34,18 @@ class Statistics:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Pairs:
+class PosePairs:
     """Estimated and true poses (n, 3) at the same stamps (n,)."""
 
     stamps: Array
     estimate: Array
     truth: Array
 
-    def moved(self, T_truth_estimate: Array) -> Pairs:
+    def moved(self, T_truth_estimate: Array) -> PosePairs:
         """Return the pairs with the estimate transformed into another frame."""
-        return Pairs(self.stamps, move(T_truth_estimate, self.estimate), self.truth)
+        return PosePairs(self.stamps, move(T_truth_estimate, self.estimate), self.truth)
 
-    def aligned(self) -> Pairs:
+    def aligned(self) -> PosePairs:
         """Return the pairs with the estimate fitted to the truth."""
         return self.moved(align(self.estimate[:, :2], self.truth[:, :2]))
 
@@ -86,7 +86,7 @@ def interpolate(trajectory: Array, stamps: Array) -> Array:
     return poses
 
 
-def associate(estimate: Array, truth: Array, slack: float = 0.1, gap: float = 1.0) -> Pairs:
+def associate(estimate: Array, truth: Array, slack: float = 0.1, gap: float = 1.0) -> PosePairs:
     """Pair an estimate with the truth interpolated to its stamps.
 
     Parameters
@@ -111,7 +111,7 @@ def associate(estimate: Array, truth: Array, slack: float = 0.1, gap: float = 1.
             f"{known[0]:.3f} to {known[-1]:.3f} s) share no time; check that both use one clock"
         )
     chosen = estimate[inside]
-    return Pairs(chosen[:, 0], chosen[:, 1:], interpolate(truth, chosen[:, 0]))
+    return PosePairs(chosen[:, 0], chosen[:, 1:], interpolate(truth, chosen[:, 0]))
 
 
 def align(points: Array, target: Array) -> Array:
@@ -135,7 +135,7 @@ def is_same_pose(a: Array, b: Array) -> bool:
     return bool(math.hypot(x, y) < POSE_TOLERANCE[0] and abs(turn) < POSE_TOLERANCE[1])
 
 
-def start_frame(pairs: Pairs, begin: float) -> Array | None:
+def start_frame(pairs: PosePairs, begin: float) -> Array | None:
     """Return `T_truth_map` (3,) that aligns the estimate with the true pose at the start.
 
     The covariance of a path is relative to its start. `begin` is the stamp of the path's first pose; if no
@@ -147,24 +147,24 @@ def start_frame(pairs: Pairs, begin: float) -> Array | None:
     return compose(pairs.truth[known[0]], inverse(pairs.estimate[known[0]]))
 
 
-def position_errors(pairs: Pairs) -> Array:
+def position_errors(pairs: PosePairs) -> Array:
     """Return the distances (n,) m to the truth: the absolute trajectory error of each pose."""
     x, y = (pairs.estimate[:, :2] - pairs.truth[:, :2]).T
     distances: Array = np.hypot(x, y)
     return distances
 
 
-def heading_errors(pairs: Pairs) -> Array:
+def heading_errors(pairs: PosePairs) -> Array:
     """Return the signed heading errors (n,) rad; NaN if one of the headings is unknown."""
     return np.asarray(wrap(pairs.estimate[:, 2] - pairs.truth[:, 2]))
 
 
-def ate(pairs: Pairs, aligned: bool = True) -> Statistics:
+def ate(pairs: PosePairs, aligned: bool = True) -> Statistics:
     """Return the absolute trajectory error in m (Sturm et al. 2012, Eq. 3)."""
     return statistics(position_errors(pairs.aligned() if aligned else pairs))
 
 
-def rpe(pairs: Pairs, delta: float, unit: str = "m") -> tuple[Statistics, Statistics]:
+def rpe(pairs: PosePairs, delta: float, unit: str = "m") -> tuple[Statistics, Statistics]:
     """Return the relative pose error in m and in rad over a stretch (Sturm et al. 2012, Eq. 1-2).
 
     `delta` is m of true path (unit "m") or s (unit "s"); a stretch begins at every pose and ends at the

@@ -9,7 +9,7 @@ import numpy as np
 
 from impslam.errors import ConfigError
 from impslam.filters.belief import HasBlocks
-from impslam.filters.columns import NONE, Columns, ScanColumns, end_points
+from impslam.filters.columns import NONE, ObservationColumns, ScanColumns, end_points
 from impslam.landmarks.base import LandmarkModel
 from impslam.types import Array, Ints, Landmark, Match, Observation
 
@@ -77,7 +77,7 @@ class Table:
         self.move(self.offsets[keep])
 
 
-class Pairs(NamedTuple):
+class LandmarkPairs(NamedTuple):
     """Matched landmarks of one kind and their observations.
 
     Attributes
@@ -89,7 +89,7 @@ class Pairs(NamedTuple):
 
     table: Table
     places: Ints
-    seen: Columns
+    seen: ObservationColumns
     rows: Ints
     which: list[int]
 
@@ -100,7 +100,7 @@ class Atlas:
     def __init__(self, models: Mapping[str, LandmarkModel]) -> None:
         self._models = models
         self._newest: tuple[Sequence[Observation], ScanColumns] = ((), ScanColumns(()))
-        self._paired: tuple[Sequence[Match], list[Pairs]] = ((), [])
+        self._paired: tuple[Sequence[Match], list[LandmarkPairs]] = ((), [])
         self._tables: dict[str, Table] = {}
         self._next_id = 0
 
@@ -126,14 +126,18 @@ class Atlas:
             self._newest, self._paired = (observations, columns), ((), [])
         return columns
 
-    def by_kind(self, observations: Sequence[Observation]) -> Iterator[tuple[Table, Columns]]:
+    def by_kind(
+        self, observations: Sequence[Observation]
+    ) -> Iterator[tuple[Table, ObservationColumns]]:
         """Yield the non-empty tables with the observations of their kinds."""
         for kind, columns in self.columns(observations).kinds.items():
             table = self.table(kind)
             if table.places:
                 yield table, columns
 
-    def pairs(self, observations: Sequence[Observation], matches: Sequence[Match]) -> list[Pairs]:
+    def pairs(
+        self, observations: Sequence[Observation], matches: Sequence[Match]
+    ) -> list[LandmarkPairs]:
         """Return the matched landmarks by kind; those of the newest scan are cached."""
         scan, (known, pairs) = self.columns(observations), self._paired
         if matches is not known or not isinstance(known, tuple):
@@ -142,13 +146,13 @@ class Atlas:
             self._paired = matches, pairs
         return pairs
 
-    def _pairs_in(self, table: Table, scan: ScanColumns, matches: Sequence[Match]) -> Pairs:
+    def _pairs_in(self, table: Table, scan: ScanColumns, matches: Sequence[Match]) -> LandmarkPairs:
         known = table.places
         which = [i for i, match in enumerate(matches) if match.landmark in known]
         some = [matches[i] for i in which]
         places = np.array([known[match.landmark] for match in some], np.int64)
         rows = np.array([scan.rows[match.observation] for match in some], np.int64)
-        return Pairs(table, places, scan.kinds.get(table.kind, NONE), rows, which)
+        return LandmarkPairs(table, places, scan.kinds.get(table.kind, NONE), rows, which)
 
     def add(
         self, pose: Array, observation: Observation, offset: int, m: Array, stamp: float

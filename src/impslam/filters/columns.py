@@ -10,7 +10,7 @@ import numpy as np
 from impslam.types import Array, Ints, Observation
 
 
-class Columns(NamedTuple):
+class ObservationColumns(NamedTuple):
     """The k observations of one kind.
 
     Attributes
@@ -30,7 +30,7 @@ class Columns(NamedTuple):
     sensors: list[str]
 
     @classmethod
-    def of(cls, observations: Sequence[Observation], indices: list[int]) -> Columns:
+    def of(cls, observations: Sequence[Observation], indices: list[int]) -> ObservationColumns:
         """Return the columns of the observations at these indices, all of one kind."""
         some, k = [observations[i] for i in indices], len(indices)
         z = np.concatenate([o.z for o in some]).reshape(k, -1)
@@ -42,7 +42,7 @@ class Columns(NamedTuple):
         return cls(np.array(indices), z, R, end_points(some), shared, sensors)
 
 
-NONE = Columns(
+NONE = ObservationColumns(
     np.empty(0, np.int64),
     np.empty((0, 0)),
     np.empty((0, 0, 0)),
@@ -78,4 +78,6 @@ class ScanColumns:
             same = kinds.setdefault(observation.kind, [])
             self.rows.append(len(same))
             same.append(i)
-        self.kinds = {kind: Columns.of(observations, some) for kind, some in kinds.items()}
+        self.kinds = {
+            kind: ObservationColumns.of(observations, some) for kind, some in kinds.items()
+        }

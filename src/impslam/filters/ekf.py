@@ -23,7 +23,7 @@ from impslam.filters.atlas import Atlas, Table
 from impslam.filters.base import Filter, Reach, everything
 from impslam.filters.belief import POSE, GaussianBelief, rows_of
 from impslam.filters.gaussian import INDEFINITE, GaussianFilter
-from impslam.filters.scene import Scene, Sight
+from impslam.filters.scene import MatchedScan, Sight
 from impslam.filters.scoring import angle_mask, score
 from impslam.filters.update import among, gain, innovation_covariance, put_sight, solve
 from impslam.geometry.angles import wrap
@@ -85,7 +85,7 @@ class Ekf(GaussianFilter):
         self, observations: Sequence[Observation], pairs: Sequence[Match]
     ) -> tuple[Array, Array]:
         """Return innovation and S = H P H^T + R of all pairs, including their correlations."""
-        scene = Scene(
+        scene = MatchedScan(
             self._belief.mean, self._atlas.pairs(observations, pairs), self._belief.errors
         )
         H, R, innovation = self._linearise(scene, scene.pose, scene.states)
@@ -105,7 +105,7 @@ class Ekf(GaussianFilter):
             return None
         belief, pairs = self._belief, self._atlas.pairs(observations, matches)
         factors = self.noise_factors(matches)
-        scene, innovation = Scene(belief.mean, pairs, belief.errors, factors), None
+        scene, innovation = MatchedScan(belief.mean, pairs, belief.errors, factors), None
         pose, states = scene.pose, scene.states
         step = np.zeros(len(scene.entries))
         for iteration in range(self.iterations):
@@ -199,7 +199,7 @@ class Ekf(GaussianFilter):
         return table.model.residual(seen.z[1], seen.z[0]), entries, J
 
     def _linearise(
-        self, scene: Scene, pose: Array, states: list[Array]
+        self, scene: MatchedScan, pose: Array, states: list[Array]
     ) -> tuple[Array, Array, Array]:
         """Return H, R and nu at estimates of the pose (3,) and of each kind's landmarks."""
         system, row, entry = scene.system(), 0, POSE

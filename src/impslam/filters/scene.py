@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from impslam.filters.atlas import Pairs, Table
+from impslam.filters.atlas import LandmarkPairs, Table
 from impslam.filters.belief import POSE
-from impslam.filters.columns import Columns
+from impslam.filters.columns import ObservationColumns
 from impslam.geometry.angles import wrap
 from impslam.types import Array, Ints
 
@@ -28,7 +28,7 @@ class Sight(NamedTuple):
     states: Array
 
 
-class Scene:
+class MatchedScan:
     """All matches of a scan; rows of H and entries of the state are in the order of the sights.
 
     Attributes
@@ -43,7 +43,7 @@ class Scene:
     def __init__(
         self,
         mean: Array,
-        pairs: Iterable[Pairs],
+        pairs: Iterable[LandmarkPairs],
         known: Mapping[str, int],
         factors: Array | None = None,
     ) -> None:
@@ -104,7 +104,9 @@ class Scene:
         return pose, states
 
 
-def _remove_common_errors(R: Array, seen: Columns, rows: Ints, known: Mapping[str, int]) -> Array:
+def _remove_common_errors(
+    R: Array, seen: ObservationColumns, rows: Ints, known: Mapping[str, int]
+) -> Array:
     """Subtract the contribution of known common errors from R (k, dz, dz).
 
     Return the error (k dz, errors) of each scalar per standard deviation of each common error.

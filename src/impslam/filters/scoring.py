@@ -11,7 +11,7 @@ import numpy as np
 from impslam.association.base import Hypotheses
 from impslam.filters.atlas import Table
 from impslam.filters.belief import POSE, Belief, GaussianBelief, innovation_blocks
-from impslam.filters.columns import Columns
+from impslam.filters.columns import ObservationColumns
 from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.kernels import kernel
 from impslam.landmarks.base import LandmarkModel
@@ -194,7 +194,9 @@ def _compared(
     return _inside((a, places[k]), nu, S, gate)
 
 
-def score(belief: GaussianBelief, table: Table, seen: Columns, gate: float) -> Hypotheses:
+def score(
+    belief: GaussianBelief, table: Table, seen: ObservationColumns, gate: float
+) -> Hypotheses:
     """Return the pairings of the observations of a kind with its landmarks in a gate.
 
     All landmarks are predicted, which is cheap; P is only read for nearby ones.
@@ -210,7 +212,7 @@ def score(belief: GaussianBelief, table: Table, seen: Columns, gate: float) -> H
 
 
 def score_predicted(
-    belief: Belief, table: Table, seen: Columns, gate: float, known: tuple[Array, Array]
+    belief: Belief, table: Table, seen: ObservationColumns, gate: float, known: tuple[Array, Array]
 ) -> Hypotheses:
     """Return the same as `score`, given predicted z (k, dz) with covariances (k, dz, dz) without R."""
     angles = angle_mask(type(table.model))
@@ -221,7 +223,7 @@ def score_predicted(
 def _hypotheses(
     belief: Belief,
     table: Table,
-    seen: Columns,
+    seen: ObservationColumns,
     predicted: Array,
     scored: tuple[Ints, Ints, tuple[Array, Array, Array, Array]],
 ) -> Hypotheses:

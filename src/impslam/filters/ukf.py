@@ -36,7 +36,7 @@ from pydantic import PrivateAttr
 from impslam.association.base import Hypotheses
 from impslam.component import register
 from impslam.errors import NumericalError
-from impslam.filters.atlas import Atlas, Pairs, Table
+from impslam.filters.atlas import Atlas, LandmarkPairs, Table
 from impslam.filters.base import Reach, everything
 from impslam.filters.belief import POSE
 from impslam.filters.gaussian import INDEFINITE, GaussianFilter
@@ -225,7 +225,9 @@ class UnscentedKalmanFilter(GaussianFilter):
         H, innovation, R = zip(*(found[i] for i in range(len(matches))), strict=True)
         return np.concatenate(H), np.concatenate(innovation), list(R)
 
-    def _rows(self, pairs: Pairs, factors: Array | None) -> dict[int, tuple[Array, Array, Array]]:
+    def _rows(
+        self, pairs: LandmarkPairs, factors: Array | None
+    ) -> dict[int, tuple[Array, Array, Array]]:
         """Return H, innovation and R of the matches of one kind, by their index."""
         table, places, columns, rows, which = pairs
         seen = self._expect(table, places)

@@ -23,7 +23,7 @@ from impslam.types import Array, Ints
 BINS = 512  # a power of two; 0.4 to 0.9 degrees each, about the beams of a lidar
 
 
-class Scans(NamedTuple):
+class ScanFeatures(NamedTuple):
     """Features of k scans, one after the other.
 
     Attributes
@@ -48,7 +48,7 @@ class Fans(NamedTuple):
     rays : (BINS, 2) unit vectors at the lower end of each bin
     """
 
-    scans: Scans
+    scans: ScanFeatures
     table: Ints
     rays: Array
 
@@ -64,7 +64,7 @@ def bearing_bin(x: float, y: float) -> int:
 
 
 @kernel
-def sort_by_bearing(scans: Scans) -> Fans:
+def sort_by_bearing(scans: ScanFeatures) -> Fans:
     """Return the scans sorted by bearing; features of one bin keep their order."""
     features, starts, lasers = scans.features, scans.starts, scans.lasers
     k = len(starts) - 1
@@ -83,7 +83,7 @@ def sort_by_bearing(scans: Scans) -> Fans:
         for p in range(starts[i], starts[i + 1]):
             out[place[bins[p]]] = features[p]
             place[bins[p]] += 1
-    return Fans(Scans(out, starts, lasers), table, _rays())
+    return Fans(ScanFeatures(out, starts, lasers), table, _rays())
 
 
 @kernel

@@ -19,7 +19,7 @@ from impslam.geometry.algebra import between as between_in_kernel
 from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.kernels import kernel, plain
 from impslam.geometry.se2 import between
-from impslam.graph.bearings import Fans, Scans, nearest_feature, sort_by_bearing
+from impslam.graph.bearings import Fans, ScanFeatures, nearest_feature, sort_by_bearing
 from impslam.graph.block_system import (
     BlockSystem,
     add_relative,
@@ -31,10 +31,18 @@ from impslam.graph.pose_graph import Edges
 from impslam.surfaces.features import check_rows
 from impslam.types import Array, Ints, Mask, check_shape
 
-__all__ = ["Edges", "Fit", "Refinement", "linearise", "linearise_pair", "pair_edges", "refine"]
+__all__ = [
+    "Edges",
+    "Refinement",
+    "RefinementSettings",
+    "linearise",
+    "linearise_pair",
+    "pair_edges",
+    "refine",
+]
 
 
-class Fit(NamedTuple):
+class RefinementSettings(NamedTuple):
     """Parameters of the refinement.
 
     Attributes
@@ -78,11 +86,11 @@ class Refinement(NamedTuple):
 
 def refine(
     poses: Array,
-    scans: Scans,
+    scans: ScanFeatures,
     edges: Edges,
     pairs: Ints,
     fixed: Ints | None = None,
-    fit: Fit | None = None,
+    fit: RefinementSettings | None = None,
 ) -> Refinement:
     """Refine keyframes, given poses (k, 3) of their bases and pairs (m, 2) from `overlaps`.
 
@@ -112,7 +120,13 @@ def refine(
         edges = edges._replace(
             information=plain(edges.information)
         )  # one compiled version for all callers
-        _refine(done, scans._replace(lasers=lasers), edges, is_fixed, Fit() if fit is None else fit)
+        _refine(
+            done,
+            scans._replace(lasers=lasers),
+            edges,
+            is_fixed,
+            RefinementSettings() if fit is None else fit,
+        )
     return done
 
 
@@ -142,7 +156,9 @@ def pair_edges(done: Refinement) -> Edges:
 
 
 @kernel
-def _refine(done: Refinement, scans: Scans, edges: Edges, fixed: Mask, fit: Fit) -> None:
+def _refine(
+    done: Refinement, scans: ScanFeatures, edges: Edges, fixed: Mask, fit: RefinementSettings
+) -> None:
     """Refine `done.poses` in place, and fill the other fields of `done`."""
     fans, poses = sort_by_bearing(scans), done.poses
     i = np.concatenate((done.pairs[:, 0], edges.i))
@@ -166,7 +182,7 @@ def linearise(
     done: Refinement,
     fans: Fans,
     edges: Edges,
-    fit: Fit,
+    fit: RefinementSettings,
     limits: tuple[float, float],
     system: BlockSystem,
 ) -> None:

@@ -119,7 +119,7 @@ def _select(scans: PlacedScans, size: float, box: Array, last: Array) -> Ints:
     return out
 
 
-class Cells(NamedTuple):
+class GridCells(NamedTuple):
     """The cells of a grid; `changed` is the number of the scan that changed each of them last.
 
     `corner` (2,) is the column and row of cell (0, 0), counted from the origin of map; `size` m is the
@@ -133,7 +133,9 @@ class Cells(NamedTuple):
 
 
 @kernel
-def _draw(cells: Cells, model: BeamModel, first: int, scans: PlacedScans, verdicts: Ints) -> int:
+def _draw(
+    cells: GridCells, model: BeamModel, first: int, scans: PlacedScans, verdicts: Ints
+) -> int:
     """Draw the selected scans, numbered from `first` on; return the next number."""
     logodds, changed, corner, size = cells
     poses, origins, starts, points = scans
@@ -234,7 +236,7 @@ class OccupancyGrid:
         self.refused += int(np.diff(new.starts)[verdicts == REJECT].sum())
         if (verdicts == DRAW).any():
             self._cover(np.floor(self._box[:2]), np.floor(self._box[2:]))
-            cells = Cells(self.logodds, self._changed, self.corner, self.resolution)
+            cells = GridCells(self.logodds, self._changed, self.corner, self.resolution)
             self._number = _draw(cells, self._model, self._number, new, verdicts)
 
     @property

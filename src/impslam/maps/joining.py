@@ -11,11 +11,11 @@ import numpy as np
 from impslam.estimators.pose_graph import KERNEL
 from impslam.geometry.se2 import between, compose
 from impslam.map import Keyframes, Map
-from impslam.maps.relation import HEADING_SIGMA, POSITION_SIGMA, Link
+from impslam.maps.relation import HEADING_SIGMA, POSITION_SIGMA, SegmentMatch
 from impslam.types import Edges, Ints, Observation
 
 
-def joined(first: Map, second: Map, links: Sequence[Link]) -> Map:
+def joined(first: Map, second: Map, links: Sequence[SegmentMatch]) -> Map:
     """Return both maps as one, connected by links, with unchanged poses.
 
     The second map and the poses of the links must be in the frame of the first, and both must have a graph.
@@ -51,7 +51,7 @@ def _observations(known: Map) -> tuple[tuple[Observation, ...], ...]:
     return known.observations or ((),) * len(known.keyframes)
 
 
-def _edges(first: Map, second: Map, links: Sequence[Link]) -> Edges:
+def _edges(first: Map, second: Map, links: Sequence[SegmentMatch]) -> Edges:
     """Return links as closures between nodes of both graphs.
 
     They connect the node before the keyframe of the link with the nearest node of the first map.

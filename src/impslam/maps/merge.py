@@ -19,7 +19,7 @@ from impslam.estimators.graph import Graph
 from impslam.map import Map
 from impslam.map_builder import blended
 from impslam.maps.joining import joined
-from impslam.maps.relation import Alignment, Outcome, align_maps
+from impslam.maps.relation import MapRelation, RelationStatus, align_maps
 from impslam.provenance import versions
 
 Progress = Callable[[str, float], None]
@@ -35,7 +35,7 @@ class NotMergedError(ImpError):
     found : the result of the alignment
     """
 
-    def __init__(self, which: int, found: Alignment) -> None:
+    def __init__(self, which: int, found: MapRelation) -> None:
         super().__init__(f"map {which + 1}: {found.words}; drive where the others have been")
         self.which, self.found = which, found
 
@@ -89,13 +89,13 @@ def _about(first: Map, second: Map) -> dict[str, Any]:
     return {**named, "logs": [*logs_of(first), *logs_of(second)], "versions": versions()}
 
 
-def _next(known: Map, waiting: dict[int, Map], progress: Progress) -> tuple[int, Alignment]:
+def _next(known: Map, waiting: dict[int, Map], progress: Progress) -> tuple[int, MapRelation]:
     """Return the first map that can be aligned with those merged so far, and its alignment."""
-    failed: dict[int, Alignment] = {}
+    failed: dict[int, MapRelation] = {}
     for which, other in waiting.items():
         step = partial(progress, f"finding map {which + 1}")
         found = align_maps(known.keyframes, other.keyframes, step)
-        if found.outcome is Outcome.FOUND:
+        if found.outcome is RelationStatus.FOUND:
             return which, found
         failed[which] = found
     raise NotMergedError(*next(iter(failed.items())))

@@ -46,7 +46,7 @@ Progress = Callable[[float], None]
 """Called with the completed share, 0 to 1."""
 
 
-class Outcome(Enum):
+class RelationStatus(Enum):
     """Whether the relative pose of two maps was determined."""
 
     FOUND = "found"
@@ -54,14 +54,14 @@ class Outcome(Enum):
     APART = "apart"
 
 
-class Link(NamedTuple):
+class SegmentMatch(NamedTuple):
     """A match of a stretch: keyframe `row` of the second map is at `pose` (3,) in the first one."""
 
     row: int
     pose: Array
 
 
-class Alignment(NamedTuple):
+class MapRelation(NamedTuple):
     """The relative pose of two maps.
 
     Attributes
@@ -72,9 +72,9 @@ class Alignment(NamedTuple):
     found, searched : numbers of matched and of searched stretches
     """
 
-    outcome: Outcome
+    outcome: RelationStatus
     T: Array
-    links: tuple[Link, ...]
+    links: tuple[SegmentMatch, ...]
     found: int
     searched: int
 
@@ -82,9 +82,9 @@ class Alignment(NamedTuple):
     def words(self) -> str:
         """The result in words."""
         agreement = f"{len(self.links)} of {self.searched} stretches agree on their relative pose"
-        if self.outcome is Outcome.FOUND:
+        if self.outcome is RelationStatus.FOUND:
             return agreement
-        if self.outcome is Outcome.AMBIGUOUS:
+        if self.outcome is RelationStatus.AMBIGUOUS:
             return f"their relative pose is ambiguous: only {agreement}, {self.found} were found"
         return f"they have no place in common ({self.searched} stretches were searched for)"
 
@@ -98,40 +98,42 @@ def aligned_to(first: Map, second: Map, progress: Progress = lambda _: None) -> 
         If their relative pose cannot be determined.
     """
     found = align_maps(first.keyframes, second.keyframes, progress)
-    if found.outcome is not Outcome.FOUND:
+    if found.outcome is not RelationStatus.FOUND:
         raise ImpError(f"{found.words}; drive where both have been")
     return second.moved(found.T)
 
 
 def align_maps(
     first: Keyframes, second: Keyframes, progress: Progress = lambda _: None
-) -> Alignment:
+) -> MapRelation:
     """Return the relative pose of the keyframes of two maps; those not placed are ignored."""
     if not (first.placed.all() and second.placed.all()):
         return _align_placed(first, second, progress)
     stretches = _stretches(second.poses)
     if not len(first) or not stretches:
-        return Alignment(Outcome.APART, np.zeros(3), (), 0, 0)
+        return MapRelation(RelationStatus.APART, np.zeros(3), (), 0, 0)
     relocaliser, views = Relocaliser(first), stored_views(second)
-    links: list[Link] = []
-    found = Alignment(Outcome.APART, np.zeros(3), (), 0, 0)
+    links: list[SegmentMatch] = []
+    found = MapRelation(RelationStatus.APART, np.zeros(3), (), 0, 0)
     for k, rows in enumerate(stretches):
         progress(k / len(stretches))
         answer = relocaliser.find_query(query([views[row] for row in rows], second.poses[rows]))
         if answer.verdict is Verdict.FOUND:
-            links.append(Link(int(rows[-1]), answer.hypotheses[0].pose))
+            links.append(SegmentMatch(int(rows[-1]), answer.hypotheses[0].pose))
         found = judge(links, second.poses, k + 1)
-        if found.outcome is Outcome.FOUND and len(found.links) >= ENOUGH:
+        if found.outcome is RelationStatus.FOUND and len(found.links) >= ENOUGH:
             break
     return found
 
 
-def _align_placed(first: Keyframes, second: Keyframes, progress: Progress) -> Alignment:
+def _align_placed(first: Keyframes, second: Keyframes, progress: Progress) -> MapRelation:
     """Return `align_maps` of the placed keyframes."""
     rows = np.flatnonzero(second.placed)
     placed = first.take(np.flatnonzero(first.placed)), second.take(rows)
     found = align_maps(*placed, progress)
-    return found._replace(links=tuple(Link(int(rows[row]), pose) for row, pose in found.links))
+    return found._replace(
+        links=tuple(SegmentMatch(int(rows[row]), pose) for row, pose in found.links)
+    )
 
 
 def _stretches(poses: Array) -> list[Ints]:
@@ -147,7 +149,7 @@ def _stretches(poses: Array) -> list[Ints]:
     return [rows[k] for k in spread_order(count) if len(rows[k])]
 
 
-def judge(links: Sequence[Link], poses: Array, searched: int) -> Alignment:
+def judge(links: Sequence[SegmentMatch], poses: Array, searched: int) -> MapRelation:
     """Return the alignment from links, of keyframes at poses (k, 3) in their own map."""
     n = len(links)
     agree = np.eye(n, dtype=bool)
@@ -156,17 +158,17 @@ def judge(links: Sequence[Link], poses: Array, searched: int) -> Alignment:
             agree[a, b] = agree[b, a] = _agree(links[a], links[b], poses)
     best = _clique(agree)
     chosen = tuple(links[k] for k in best)
-    outcome = Outcome.APART
+    outcome = RelationStatus.APART
     if len(chosen) > 1:
         contradicting = n - len(chosen)
         is_certain = len(chosen) >= MIN_AGREEING
         is_certain &= contradicting <= MAX_CONTRADICTING * len(chosen)
-        outcome = Outcome.FOUND if is_certain else Outcome.AMBIGUOUS
+        outcome = RelationStatus.FOUND if is_certain else RelationStatus.AMBIGUOUS
     T = fit([poses[link.row] for link in chosen], [link.pose for link in chosen])
-    return Alignment(outcome, T, chosen, n, searched)
+    return MapRelation(outcome, T, chosen, n, searched)
 
 
-def _agree(one: Link, other: Link, poses: Array) -> bool:
+def _agree(one: SegmentMatch, other: SegmentMatch, poses: Array) -> bool:
     """Return whether two links are consistent."""
     motion = between(poses[one.row], poses[other.row])
     distance = math.hypot(motion[0], motion[1])

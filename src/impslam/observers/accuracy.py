@@ -13,7 +13,7 @@ from impslam.errors import ImpError
 from impslam.evaluation.consistency import chi2_bounds, nees, pose_errors
 from impslam.evaluation.landmarks import LandmarkScore, score_landmarks, transform_landmarks
 from impslam.evaluation.trajectory import (
-    Pairs,
+    PosePairs,
     align,
     associate,
     ate,
@@ -27,7 +27,7 @@ from impslam.evaluation.trajectory import (
 )
 from impslam.geometry.se2 import inverse
 from impslam.observers.history import History
-from impslam.observers.page import Line, chart, escape, section, table, tiles
+from impslam.observers.page import ChartLine, chart, escape, section, table, tiles
 from impslam.types import Array, Landmark, TrueLandmark
 
 CHARTS = (
@@ -48,7 +48,7 @@ NOTES = {
 class AlignedTruth:
     """Pairs of estimated and true poses in map, the transform of the truth to map, and its origin."""
 
-    pairs: Pairs
+    pairs: PosePairs
     T_map_truth: Array
     how: Literal["map", "start", "fit"]
 
@@ -72,7 +72,7 @@ def align_truth(history: History) -> AlignedTruth | None:
     if T_truth_map is None:
         T_truth_map = align(pairs.estimate[:, :2], pairs.truth[:, :2])
     T_map_truth = inverse(T_truth_map)
-    in_map = Pairs(pairs.stamps, pairs.estimate, move(T_map_truth, pairs.truth))
+    in_map = PosePairs(pairs.stamps, pairs.estimate, move(T_map_truth, pairs.truth))
     return AlignedTruth(in_map, T_map_truth, "fit" if fitted else "start")
 
 
@@ -116,7 +116,7 @@ def _figures(aligned: AlignedTruth, history: History) -> str:
     return tiles(facts)
 
 
-def _nees(pairs: Pairs, history: History) -> tuple[str, str] | None:
+def _nees(pairs: PosePairs, history: History) -> tuple[str, str] | None:
     P, errors = _at(history, pairs.stamps), pose_errors(pairs.estimate, pairs.truth)
     dof = 3 if np.isfinite(errors).all() else 2
     P, errors = P[:, :dof, :dof], errors[:, :dof]
@@ -147,12 +147,12 @@ def _charts(aligned: AlignedTruth, history: History) -> str:
         if np.isfinite(error[:, i]).any():
             band = 3.0 * unit * sigma[:, i] if has_band else None
             title = f"{name}, band 3σ" if has_band else name
-            charts.append(chart(title, t, [Line("", unit * error[:, i], style)], band))
+            charts.append(chart(title, t, [ChartLine("", unit * error[:, i], style)], band))
     true = np.column_stack((pairs.stamps, pairs.truth))
     dead = interpolate(history.odometry, pairs.stamps) - true[:, 1:]
     lines = [
-        Line("SLAM", 100 * position_errors(pairs), "a"),
-        Line("odometry", 100 * np.hypot(dead[:, 0], dead[:, 1]), "b"),
+        ChartLine("SLAM", 100 * position_errors(pairs), "a"),
+        ChartLine("odometry", 100 * np.hypot(dead[:, 0], dead[:, 1]), "b"),
     ]
     charts.append(chart("Distance from the truth in cm", t, lines))
     return f'<div class="charts">{"".join(charts)}</div>'

@@ -31,7 +31,7 @@ the map would be too small."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Scene:
+class PictureContent:
     """The items to draw; paths are (n, 2) m in map, empty if unknown, interrupted at non-finite rows."""
 
     image: MapImage
@@ -41,7 +41,7 @@ class Scene:
     landmarks: Sequence[Landmark]
 
 
-def map_png(scene: Scene) -> bytes:
+def map_png(scene: PictureContent) -> bytes:
     """Return the map with paths and landmarks as a PNG."""
     left, right, bottom, top = box = bounds(scene)
     canvas = Canvas(box, SIZE, colours.UNSEEN)
@@ -56,7 +56,7 @@ def map_png(scene: Scene) -> bytes:
     return png(frame.finished().pixels)
 
 
-def bounds(scene: Scene) -> tuple[float, float, float, float]:
+def bounds(scene: PictureContent) -> tuple[float, float, float, float]:
     """Return left, right, bottom, top of the drawn items, limited by `MAX_STRETCH`."""
     left, right, bottom, top = scene.image.extent
     ends = [mark.end_points for mark in scene.landmarks if mark.end_points is not None]
@@ -95,7 +95,7 @@ def draw_grid(canvas: Canvas, image: MapImage) -> None:
     canvas.paste(greys[image.pixels], left, top, image.resolution)
 
 
-def _draw_paths(canvas: Canvas, scene: Scene, thickness: float) -> None:
+def _draw_paths(canvas: Canvas, scene: PictureContent, thickness: float) -> None:
     walls = [mark.end_points for mark in scene.landmarks if mark.end_points is not None]
     for piece in pieces(scene.odometry):
         canvas.line(piece, ODOMETRY, 2.7 * thickness)
@@ -156,7 +156,7 @@ def _draw_numbers(canvas: Canvas, landmarks: Sequence[Landmark]) -> None:
         canvas.label(at + 9.0 / canvas.scale, str(mark.id), INK, LABEL_SIZE, "#ffffff")
 
 
-def _keys(scene: Scene) -> list[Key]:
+def _keys(scene: PictureContent) -> list[Key]:
     """Return the key's entries for the items in the scene."""
     kinds = {mark.end_points is None for mark in scene.landmarks}
     entries = [

@@ -21,7 +21,7 @@ BUCKETS = 400
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Line:
+class ChartLine:
     """A line of a chart: values (n,), and the CSS class of its style, e.g. "a", "b" or "c"."""
 
     label: str
@@ -93,7 +93,11 @@ def folded(title: str, content: str) -> str:
 
 
 def chart(
-    title: str, time: Array, lines: Sequence[Line], band: Array | None = None, zero: bool = True
+    title: str,
+    time: Array,
+    lines: Sequence[ChartLine],
+    band: Array | None = None,
+    zero: bool = True,
 ) -> str:
     """Return a chart over time (n,) s; the area within +-`band` (n,) is shaded."""
     t = time - time[0]

@@ -12,7 +12,7 @@ from impslam.observers import accuracy
 from impslam.observers.base import Outcome
 from impslam.observers.health_band import health_section
 from impslam.observers.history import History
-from impslam.observers.map_picture import Scene, drawn_path, map_png
+from impslam.observers.map_picture import PictureContent, drawn_path, map_png
 from impslam.observers.page import page
 from impslam.observers.quality_section import quality_section
 from impslam.observers.sections import (
@@ -71,4 +71,4 @@ def draw(
 ) -> bytes:
     """Return the picture of the map as a PNG."""
     path, odometry = drawn_path(history.known), history.odometry[:, 1:3]
-    return map_png(Scene(image, path, odometry, truth, landmarks))
+    return map_png(PictureContent(image, path, odometry, truth, landmarks))

@@ -10,7 +10,7 @@ import numpy as np
 
 from impslam.observers.base import Outcome
 from impslam.observers.history import History
-from impslam.observers.page import Line, chart, escape, folded, section, table, tiles
+from impslam.observers.page import ChartLine, chart, escape, folded, section, table, tiles
 from impslam.observers.summary import (
     compiled,
     config_toml,
@@ -76,10 +76,10 @@ def uncertainty(history: History) -> str:
     if len(history.path) < 2:
         return ""
     t, sigma = history.path[:, 0], history.sigmas
-    places = [Line("x", 100 * sigma[:, 0], "a"), Line("y", 100 * sigma[:, 1], "b")]
+    places = [ChartLine("x", 100 * sigma[:, 0], "a"), ChartLine("y", 100 * sigma[:, 1], "b")]
     charts = (
         chart("Position, 1σ in cm", t, places),
-        chart("Heading, 1σ in degrees", t, [Line("", np.degrees(sigma[:, 2]), "c")]),
+        chart("Heading, 1σ in degrees", t, [ChartLine("", np.degrees(sigma[:, 2]), "c")]),
     )
     note = (
         "The estimator's own standard deviations. They grow on new ground and shrink when known "
@@ -100,9 +100,9 @@ def matching(history: History) -> str:
     total_nis, total_dof = np.add.reduceat(nis, edges), np.add.reduceat(dof, edges)
     ratio = np.divide(total_nis, total_dof, out=np.full(parts, np.nan), where=total_dof > 0)
     mean = np.add.reduceat(count, edges) / np.diff(edges, append=len(t))
-    lines = [Line("", ratio, "a"), Line("ideal", np.ones(parts), "bound")]
+    lines = [ChartLine("", ratio, "a"), ChartLine("ideal", np.ones(parts), "bound")]
     charts = (
-        chart("Landmarks matched per keyframe", t[edges], [Line("", mean, "b")]),
+        chart("Landmarks matched per keyframe", t[edges], [ChartLine("", mean, "b")]),
         chart("NIS per degree of freedom", t[edges], lines),
     )
     note = (

@@ -20,7 +20,14 @@ from impslam.maps.grid import OccupancyGrid
 from impslam.observers.base import Observer, Outcome
 from impslam.observers.canvas import Canvas, Picture, colour
 from impslam.observers.history import health_of
-from impslam.observers.map_picture import Scene, bounds, draw_grid, drawn_path, ellipse, pieces
+from impslam.observers.map_picture import (
+    PictureContent,
+    bounds,
+    draw_grid,
+    drawn_path,
+    ellipse,
+    pieces,
+)
 from impslam.types import Array, Ints
 
 MAX_SECONDS, RATE = 15.0, 20.0
@@ -104,7 +111,7 @@ class _Frames:
         self._health = health_of(known, outcome.health)
         self._grid = OccupancyGrid(outcome.config["grid"]["resolution"])
         final, none = map_image(known.grid(self._grid.resolution)), np.empty((0, 2))
-        scene = Scene(final, self._path, none, none, known.landmarks)
+        scene = PictureContent(final, self._path, none, none, known.landmarks)
         self._ground = Canvas(bounds(scene), SIZE, colours.UNSEEN)
 
     @property

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from impslam.errors import ImpError
-from impslam.overhead.camera import EXTRINSIC, LENS, Camera, linearised, project
+from impslam.overhead.camera import EXTRINSIC, LENS, CalibratedCamera, linearised, project
 from impslam.types import Array
 
 INITIAL_SIGMA = 0.3  # px, of a board's corner, before it is estimated from the residuals
@@ -27,7 +27,7 @@ MIN_WIDTH_RATIO = 0.05  # of width to length of the points' extent: less does no
 MIN_POINTS = 4  # of a plane that determine a pose
 
 
-class View(NamedTuple):
+class BoardView(NamedTuple):
     """Points (n, 3) m, in the board's frame or in map, and their pixels (n, 2)."""
 
     points: Array
@@ -35,7 +35,7 @@ class View(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Calibration:
+class CameraCalibration:
     """A calibrated camera with its residuals.
 
     Attributes
@@ -45,15 +45,19 @@ class Calibration:
     views : number of views of the board
     """
 
-    camera: Camera
+    camera: CalibratedCamera
     board_rms: float
     ground_rms: float
     views: int
 
 
 def calibrate(
-    size: tuple[int, int], boards: Sequence[View], ground: View, sigma: float, pixel_sigma: Array
-) -> Calibration:
+    size: tuple[int, int],
+    boards: Sequence[BoardView],
+    ground: BoardView,
+    sigma: float,
+    pixel_sigma: Array,
+) -> CameraCalibration:
     """Return the camera that fits views of a board and measured points best.
 
     Parameters
@@ -85,10 +89,10 @@ def calibrate(
             break
         corner = problem.corner_noise(x)
     covariance = np.linalg.pinv(fit.jac.T @ fit.jac, hermitian=True)[:15, :15]
-    camera = Camera(*size, x[:15], covariance)
+    camera = CalibratedCamera(*size, x[:15], covariance)
     residuals = camera.project(ground.points) - ground.pixels
     ground_rms = math.sqrt(float(np.mean(residuals**2)))
-    return Calibration(camera, corner if boards else math.nan, ground_rms, len(boards))
+    return CameraCalibration(camera, corner if boards else math.nan, ground_rms, len(boards))
 
 
 class _Problem:
@@ -97,8 +101,8 @@ class _Problem:
     def __init__(
         self,
         size: tuple[int, int],
-        boards: Sequence[View],
-        ground: View,
+        boards: Sequence[BoardView],
+        ground: BoardView,
         sigma: float,
         pixel_sigma: Array,
     ) -> None:
@@ -177,7 +181,7 @@ class _Problem:
         return np.asarray(np.hypot(measured, self._noise[1])[:, None])
 
 
-def _solve_pose(view: View, lens: Array) -> Array:
+def _solve_pose(view: BoardView, lens: Array) -> Array:
     """Return the camera pose (6,) of a view with a lens (9,)."""
     matrix = np.array([[lens[0], 0, lens[2]], [0, lens[1], lens[3]], [0, 0, 1.0]])
     flat = np.ptp(view.points[:, 2]) < 1e-9 and abs(view.points[0, 2]) < 1e-9

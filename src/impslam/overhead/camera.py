@@ -22,7 +22,7 @@ SIZE = 15
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Camera:
+class CalibratedCamera:
     """A calibrated camera.
 
     Attributes

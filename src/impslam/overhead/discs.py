@@ -12,7 +12,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from impslam.overhead.camera import SIZE, Camera
+from impslam.overhead.camera import SIZE, CalibratedCamera
 from impslam.overhead.setup import Discs
 from impslam.types import Array
 
@@ -23,7 +23,7 @@ OUTLINE_SIGMA = 0.1  # px, error of a disc's middle due to light and shade at it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Cylinder:
+class MeasuredCylinder:
     """A cylinder as the camera measured it: centre (2,) m in map, its covariance, radius in m."""
 
     centre: Array
@@ -31,7 +31,7 @@ class Cylinder:
     radius: float
 
 
-def find_cylinders(still: Any, camera: Camera, discs: Discs) -> list[Cylinder]:
+def find_cylinders(still: Any, camera: CalibratedCamera, discs: Discs) -> list[MeasuredCylinder]:
     """Return the cylinders in a picture of the static scene, sorted by their x in map."""
     mask = _coloured(still, discs)
     outlines, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
@@ -57,7 +57,7 @@ def _lab(picture: Any) -> Array:
     return np.asarray(cv2.cvtColor(picture.astype(np.float32) / 255.0, cv2.COLOR_BGR2LAB))
 
 
-def _fit(outline: Array, camera: Camera, discs: Discs) -> Cylinder | None:
+def _fit(outline: Array, camera: CalibratedCamera, discs: Discs) -> MeasuredCylinder | None:
     """Fit a disc to an outline (n, 2) px; return None if it is not a disc."""
     points = camera.on_plane(outline, discs.height)
     centre, radius = _circle(points)
@@ -73,7 +73,7 @@ def _fit(outline: Array, camera: Camera, discs: Discs) -> Cylinder | None:
     ):
         return None
     seen = camera.project(np.array([[*centre, discs.height]]))
-    return Cylinder(centre, _covariance(camera, seen, discs.height, pixel), radius)
+    return MeasuredCylinder(centre, _covariance(camera, seen, discs.height, pixel), radius)
 
 
 def _circle(points: Array) -> tuple[Array, float]:
@@ -87,14 +87,16 @@ def _circle(points: Array) -> tuple[Array, float]:
     return centre, float(np.sqrt(c + centre @ centre))
 
 
-def _covariance(camera: Camera, seen: Array, height: float, pixel: float) -> Array:
+def _covariance(camera: CalibratedCamera, seen: Array, height: float, pixel: float) -> Array:
     """Return the covariance (2, 2) of the point that projects to a pixel (1, 2)."""
     columns = []
     for k in range(SIZE):
         delta = np.zeros(SIZE)
         delta[k] = 1e-6 * max(1.0, abs(camera.vector[k]))
         ahead, behind = (
-            Camera(camera.width, camera.height, camera.vector + sign * delta, camera.covariance)
+            CalibratedCamera(
+                camera.width, camera.height, camera.vector + sign * delta, camera.covariance
+            )
             for sign in (1, -1)
         )
         change = ahead.on_plane(seen, height) - behind.on_plane(seen, height)

@@ -16,7 +16,7 @@ import numpy as np
 
 from impslam.geometry.angles import wrap
 from impslam.geometry.se2 import rotation, transform
-from impslam.overhead.camera import SIZE, Camera, project
+from impslam.overhead.camera import SIZE, CalibratedCamera, project
 from impslam.types import Array, Mask
 
 ALIASING = 0.03  # px, error of an edge along a row of pixels, which is not visible in the residuals
@@ -57,7 +57,7 @@ def corners_in_base(size: float, mount: Array) -> Array:
 
 
 def find_poses(
-    camera: Camera, pixels: Array, corners: Array, height: float, height_sigma: float
+    camera: CalibratedCamera, pixels: Array, corners: Array, height: float, height_sigma: float
 ) -> Poses:
     """Return the poses for which corners (4, 2) m in base_link project to pixels (n, 4, 2)."""
     x = _start(camera, pixels, corners, height)
@@ -74,7 +74,12 @@ def find_poses(
 
 
 def covariances_at(
-    camera: Camera, poses: Array, corners: Array, height: float, height_sigma: float, sigma: float
+    camera: CalibratedCamera,
+    poses: Array,
+    corners: Array,
+    height: float,
+    height_sigma: float,
+    sigma: float,
 ) -> tuple[Array, Array]:
     """Return the covariances (n, 3, 3) of poses (n, 3) due to noise of `sigma` px, and to calibration."""
     x = np.column_stack([poses, np.ones(len(poses))])
@@ -96,7 +101,7 @@ def _noise(squares: Array) -> float:
     return math.sqrt(float(np.median(squares)) / 3.3567) if len(squares) else math.nan
 
 
-def _start(camera: Camera, pixels: Array, corners: Array, height: float) -> Array:
+def _start(camera: CalibratedCamera, pixels: Array, corners: Array, height: float) -> Array:
     """Return poses and scales (n, 4) from the corners projected to the plane of the marker."""
     points = camera.on_plane(pixels.reshape(-1, 2), height).reshape(-1, 4, 2)
     centred, wanted = corners - corners.mean(axis=0), points - points.mean(axis=1, keepdims=True)

@@ -11,12 +11,12 @@ import numpy as np
 
 from impslam.errors import ImpError
 from impslam.overhead.boards import find_boards
-from impslam.overhead.calibration import MIN_POINTS, Calibration, View, calibrate
-from impslam.overhead.discs import Cylinder, find_cylinders
+from impslam.overhead.calibration import MIN_POINTS, BoardView, CameraCalibration, calibrate
+from impslam.overhead.discs import MeasuredCylinder, find_cylinders
 from impslam.overhead.markers import MarkerFinder, middle
 from impslam.overhead.poses import Poses, corners_in_base, find_poses
 from impslam.overhead.setup import MARKER_SIGMA, Setup
-from impslam.overhead.video import Video, read_pictures
+from impslam.overhead.video import VideoFile, read_pictures
 from impslam.types import Array
 
 MAX_VIEWS = 40  # of the board
@@ -46,9 +46,9 @@ class Tracked:
     found: Poses
     hidden: Array
     unfit: Array
-    calibration: Calibration
+    calibration: CameraCalibration
     unseen: list[int]
-    cylinders: list[Cylinder]
+    cylinders: list[MeasuredCylinder]
     still: Any
 
 
@@ -66,7 +66,7 @@ def track(path: Path, setup: Setup, beside: Path, progress: Progress) -> Tracked
         If the video or the board cannot be read, the camera cannot be calibrated, or no picture shows the
         marker.
     """
-    with Video(path) as video:
+    with VideoFile(path) as video:
         boards = _boards(setup, beside, progress)
         stills = video.sample(STILLS)
         ground, sigma, unseen = _ground(stills, setup)
@@ -91,7 +91,7 @@ def track(path: Path, setup: Setup, beside: Path, progress: Progress) -> Tracked
     )  # fmt: skip
 
 
-def _boards(setup: Setup, beside: Path, progress: Progress) -> list[View]:
+def _boards(setup: Setup, beside: Path, progress: Progress) -> list[BoardView]:
     if setup.board is None:
         return []
     place = beside / setup.board.views
@@ -109,7 +109,7 @@ def _boards(setup: Setup, beside: Path, progress: Progress) -> list[View]:
     return views
 
 
-def _ground(stills: list[Any], setup: Setup) -> tuple[View, Array, list[int]]:
+def _ground(stills: list[Any], setup: Setup) -> tuple[BoardView, Array, list[int]]:
     """Return the measured points, their noise (n,) px, and the markers that were not found."""
     floor, seen = setup.floor, _still_markers(stills, setup)
     points, pixels, sigmas, unseen = [], [], [], []
@@ -125,7 +125,7 @@ def _ground(stills: list[Any], setup: Setup) -> tuple[View, Array, list[int]]:
             f"floor.points: {len(points)} of {len(floor.points)} are found in the video, and {MIN_POINTS} "
             f"are needed; marker {', '.join(map(str, unseen))} of {setup.marker.dictionary} is not found"
         )
-    view = View(np.array(points, dtype=np.float64), np.array(pixels, dtype=np.float64))
+    view = BoardView(np.array(points, dtype=np.float64), np.array(pixels, dtype=np.float64))
     return view, np.array(sigmas), unseen
 
 
@@ -139,7 +139,9 @@ def _still_markers(stills: list[Any], setup: Setup) -> dict[int, Array]:
     return {number: np.median(found, axis=0) for number, found in pixels.items()}
 
 
-def _follow(video: Video, setup: Setup, progress: Progress) -> tuple[Array, Array, Array, Array]:
+def _follow(
+    video: VideoFile, setup: Setup, progress: Progress
+) -> tuple[Array, Array, Array, Array]:
     """Return times (n,) and corners (n, 4, 2) of the marker, times without it, and with two."""
     finder, last = MarkerFinder(setup.marker.dictionary), None
     times: list[float] = []

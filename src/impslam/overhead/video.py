@@ -15,7 +15,7 @@ from impslam.errors import ImpError
 PICTURES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff"}
 
 
-class Video:
+class VideoFile:
     """A video file, open for reading.
 
     Attributes
@@ -92,7 +92,7 @@ def read_pictures(path: Path, max_count: int) -> list[Any]:
         If there are none, or one cannot be read.
     """
     if not path.is_dir():
-        with Video(path) as video:
+        with VideoFile(path) as video:
             return video.sample(max_count)
     files = sorted(file for file in path.iterdir() if file.suffix.lower() in PICTURES)
     if not files:

@@ -16,11 +16,11 @@ from impslam.geometry.kernels import plain
 from impslam.recognition.correlative import HEADING_STEP, Window, search, start_level
 from impslam.recognition.pyramid import Memory, Pyramid, build
 from impslam.recognition.submap import Submap
-from impslam.recognition.verify import MIN_MATCHED, Support, Verdict, judge, verify
+from impslam.recognition.verify import MIN_MATCHED, ClosureStrength, Support, judge, verify
 from impslam.surfaces.features import Features
 from impslam.surfaces.surface_map import (
     Alignment,
-    Evidence,
+    AlignmentEvidence,
     SurfaceMap,
     add,
     align,
@@ -71,7 +71,7 @@ class Closure(NamedTuple):
     pose: Array
     information: Array
     support: Support
-    verdict: Verdict
+    verdict: ClosureStrength
     score: float
     rival: float
 
@@ -127,7 +127,7 @@ class Recogniser:
         shift = np.abs(closure.pose - guess)
         if shift[0] > task.window.x + SLACK or shift[1] > task.window.y + SLACK:
             return None
-        if closure.verdict != Verdict.STRONG:
+        if closure.verdict != ClosureStrength.STRONG:
             return None
         return self._found(closure)
 
@@ -140,7 +140,7 @@ class Recogniser:
         if peak.score == 0.0:
             return self._reject("no peak")
         closure = self._settle(query, peak.pose, FINE, FINE_PRIOR)._replace(score=peak.score)
-        if closure.verdict == Verdict.REFUSED:
+        if closure.verdict == ClosureStrength.REFUSED:
             return self._reject("contradicted")
         closure = self._with_rival(query, guess, task, closure)
         if closure.rival >= closure.support.agreement - RIVAL_MARGIN:
@@ -155,7 +155,7 @@ class Recogniser:
         if peak.score == 0.0:
             return closure
         rival = self._settle(query, peak.pose, FINE, FINE_PRIOR)
-        agreement = 0.0 if rival.verdict == Verdict.REFUSED else rival.support.agreement
+        agreement = 0.0 if rival.verdict == ClosureStrength.REFUSED else rival.support.agreement
         return closure._replace(rival=agreement)
 
     def _settle(self, query: Submap, start: Array, how: Alignment, prior: Array) -> Closure:
@@ -220,7 +220,7 @@ def search_points(features: Features) -> tuple[Features, float]:
     return close[np.arange(count) * len(close) // count], HEADING_STEP * SEARCH_RANGE / limit
 
 
-def information(evidence: Evidence) -> Array:
+def information(evidence: AlignmentEvidence) -> Array:
     """Return the information (3, 3) of an aligned pose.
 
     Its covariance is that of the points, C = sigma^2 H^-1 with sigma^2 from their residuals, plus a

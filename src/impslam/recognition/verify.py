@@ -36,7 +36,7 @@ MIN_MATCHED = 0.35  # of the query's points
 MIN_SEEN = 60  # points of the reference that the query's scans have seen
 
 
-class Verdict(IntEnum):
+class ClosureStrength(IntEnum):
     """The strength of support; a weak closure needs others that agree."""
 
     REFUSED = 0
@@ -66,18 +66,22 @@ class Support(NamedTuple):
         return min(self.query, self.reference)
 
 
-def judge(support: Support, overlap: float = MIN_MATCHED) -> Verdict:
+def judge(support: Support, overlap: float = MIN_MATCHED) -> ClosureStrength:
     """Return the verdict on support.
 
     With an `overlap` below `MIN_MATCHED`, submaps with less common area are accepted, but as weak ones, and
     only if free space agrees as for a strong one.
     """
     if support.matched < overlap or support.seen < overlap / MIN_MATCHED * MIN_SEEN:
-        return Verdict.REFUSED
+        return ClosureStrength.REFUSED
     is_large = support.matched >= MIN_MATCHED and support.seen >= MIN_SEEN
     if support.agreement >= STRONG_SHARE:
-        return Verdict.STRONG if is_large else Verdict.WEAK
-    return Verdict.WEAK if is_large and support.agreement >= WEAK_SHARE else Verdict.REFUSED
+        return ClosureStrength.STRONG if is_large else ClosureStrength.WEAK
+    return (
+        ClosureStrength.WEAK
+        if is_large and support.agreement >= WEAK_SHARE
+        else ClosureStrength.REFUSED
+    )
 
 
 def verify(known: SurfaceMap, reference: Submap, query: Submap, pose: Array) -> Support:

@@ -10,7 +10,7 @@ from impslam.simulation.robot import Lidar
 from impslam.types import Array
 
 
-class Sweeps:
+class LidarSweeps:
     """The sweeps of the lidar on a body."""
 
     def __init__(self, body: Body, seed: int = 0, lidar: Lidar | None = None) -> None:

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from impslam.errors import ConfigError
-from impslam.overhead.camera import SIZE, Camera
+from impslam.overhead.camera import SIZE, CalibratedCamera
 from impslam.overhead.setup import Marker, dictionary
 from impslam.simulation.drive import Path
 from impslam.simulation.overhead_paint import (
@@ -43,7 +43,7 @@ BORDER = 8  # px around the robot, more than its blur
 NOISE_TILE = 64  # px, maximum shift of the noise between pictures
 
 
-def camera_above(device: OverheadCamera, scene: Scene) -> Camera:
+def camera_above(device: OverheadCamera, scene: Scene) -> CalibratedCamera:
     """Return the camera above the centre of a world, its width along the longer side.
 
     Raises
@@ -65,12 +65,12 @@ def camera_above(device: OverheadCamera, scene: Scene) -> Camera:
     vector[6:8] = device.focal
     vector[8:10] = 0.5 * (device.width - 1), 0.5 * (device.height - 1)
     vector[10:14] = device.distortion
-    camera = Camera(device.width, device.height, vector, np.zeros((SIZE, SIZE)))
+    camera = CalibratedCamera(device.width, device.height, vector, np.zeros((SIZE, SIZE)))
     _check(device, camera, np.column_stack([path, np.full(len(path), device.marker_height)]))
     return camera
 
 
-def _check(device: OverheadCamera, camera: Camera, path: Array) -> None:
+def _check(device: OverheadCamera, camera: CalibratedCamera, path: Array) -> None:
     if not camera.sees(camera.project(path)).all():
         raise ConfigError(
             f"overhead.above = {device.above:g}: the camera does not see the whole path; increase it, "
@@ -214,7 +214,7 @@ def blurred(canvas: Canvas, sigma: float) -> Pixels:
     return np.clip(np.rint(soft), 0, 255).astype(np.uint8)
 
 
-def floor_points(camera: Camera) -> Array:
+def floor_points(camera: CalibratedCamera) -> Array:
     """Return the positions of the floor's markers, (8, 2) m, along the borders of the picture."""
     share = np.array(
         [[0.08, 0.12], [0.5, 0.08], [0.92, 0.12], [0.95, 0.5], [0.92, 0.88], [0.5, 0.92], [0.08, 0.88],

@@ -11,7 +11,7 @@ import tomli_w
 
 from impslam import ffmpeg
 from impslam.errors import ConfigError
-from impslam.overhead.camera import Camera
+from impslam.overhead.camera import CalibratedCamera
 from impslam.overhead.setup import Board, Discs, Floor, FloorPoint, Marker, Setup
 from impslam.simulation.drive import Trajectory
 from impslam.simulation.overhead import (
@@ -88,7 +88,9 @@ def _write_video(
         writer.release()
 
 
-def _views(device: OverheadCamera, camera: Camera, rng: np.random.Generator) -> Iterator[Pixels]:
+def _views(
+    device: OverheadCamera, camera: CalibratedCamera, rng: np.random.Generator
+) -> Iterator[Pixels]:
     """Yield pictures of a board at various positions in the picture and various tilts."""
     brush = Brush(camera)
     squares = np.indices((BOARD.rows, BOARD.columns)).sum(axis=0) % 2 * 255
@@ -117,7 +119,7 @@ def _extrinsics(device: OverheadCamera, number: int, rng: np.random.Generator) -
 def _measured(
     device: OverheadCamera,
     scene: Scene,
-    camera: Camera,
+    camera: CalibratedCamera,
     rng: np.random.Generator,
     board: str,
     start: float,

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from impslam.overhead.camera import EXTRINSIC, LENS, Camera
+from impslam.overhead.camera import EXTRINSIC, LENS, CalibratedCamera
 from impslam.types import Array
 
 Pixels = npt.NDArray[np.uint8]
@@ -28,9 +28,9 @@ Box = tuple[slice, slice]
 
 
 class Brush:
-    """Paints into the picture of a camera; see `Camera` for its vector."""
+    """Paints into the picture of a camera; see `CalibratedCamera` for its vector."""
 
-    def __init__(self, camera: Camera, rays: Canvas | None = None) -> None:
+    def __init__(self, camera: CalibratedCamera, rays: Canvas | None = None) -> None:
         self.camera = camera
         self._rays = _rays(camera) if rays is None else rays
 
@@ -38,7 +38,9 @@ class Brush:
         """Return a brush for the same lens with other extrinsics (6,)."""
         camera = self.camera
         vector = np.concatenate([extrinsics, camera.vector[LENS]])
-        return Brush(Camera(camera.width, camera.height, vector, camera.covariance), self._rays)
+        return Brush(
+            CalibratedCamera(camera.width, camera.height, vector, camera.covariance), self._rays
+        )
 
     def plane(self, box: Box, height: float, samples: int) -> tuple[Canvas, Canvas]:
         """Return x, y (rows, columns) m of all sub-pixels in a box, on the plane at a height."""
@@ -79,15 +81,15 @@ class Brush:
         cv2.fillPoly(patch, [outline], colour[::-1], lineType=cv2.LINE_8, shift=FRACTION_BITS)
 
 
-def _rays(camera: Camera) -> Canvas:
+def _rays(camera: CalibratedCamera) -> Canvas:
     """Return the direction (height, width, 2) of each pixel's ray in the camera's frame, at depth 1."""
     lens = camera.vector.copy()
     lens[EXTRINSIC] = 0.0
-    rays = Camera(camera.width, camera.height, lens, camera.covariance).rays(grid(camera))
+    rays = CalibratedCamera(camera.width, camera.height, lens, camera.covariance).rays(grid(camera))
     return rays[:, :2].reshape(camera.height, camera.width, 2).astype(np.float32)
 
 
-def grid(camera: Camera) -> Array:
+def grid(camera: CalibratedCamera) -> Array:
     """Return all pixels of a camera, (height * width, 2)."""
     rows, columns = np.mgrid[: camera.height, : camera.width]
     return np.column_stack([columns.ravel(), rows.ravel()]).astype(np.float64)

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from impslam.geometry.se2 import rotation
-from impslam.simulation.walk import Walk
+from impslam.simulation.walk import PersonWalk
 from impslam.simulation.world import Box, Door, Wall, World
 from impslam.types import Array
 
@@ -102,8 +102,8 @@ class Scene:
         return [(walls[door.wall], door) for door in self.world.doors]
 
     @cached_property
-    def _walks(self) -> list[Walk]:
-        return [Walk(person) for person in self.world.people]
+    def _walks(self) -> list[PersonWalk]:
+        return [PersonWalk(person) for person in self.world.people]
 
     def moving(self, begin: float, end: float) -> tuple[Array, Array]:
         """Return leaves (2, m, 4) and legs (2, k, 3) at two times."""

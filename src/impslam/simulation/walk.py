@@ -11,7 +11,7 @@ from impslam.simulation.world import Person
 Leg = tuple[float, float, float]
 
 
-class Walk:
+class PersonWalk:
     """The walk of a person; it uses plain floats for speed, as it is called twice per sweep."""
 
     def __init__(self, person: Person) -> None:

@@ -26,7 +26,7 @@ from impslam.component import parameter, register
 from impslam.errors import MessageError, SourceError
 from impslam.sources.base import Stream
 from impslam.sources.matlab import MatlabSource, column, read_variables, same_length
-from impslam.sources.parts import Located, Piece, merge_order, single
+from impslam.sources.parts import LocatedMessage, Piece, merge_order, single
 from impslam.sources.text import beam_angles, beam_times, check_finite
 from impslam.types import (
     Array,
@@ -86,7 +86,7 @@ class Carpark(MatlabSource):
         self._events = [(int(s), int(i) - 1) for s, i in zip(sensors, indices, strict=True)]
         return len(self._events)
 
-    def _messages(self) -> Iterator[Located]:
+    def _messages(self) -> Iterator[LocatedMessage]:
         for number, (sensor, index) in enumerate(self._events, 1):
             self._done = number
             try:
@@ -96,7 +96,7 @@ class Carpark(MatlabSource):
             else:
                 # GPS stamps are not checked: gaps are expected under trees.
                 stream = FIXES if isinstance(message, Fix) else NAMES[sensor]
-                yield Located(message, number, stream, checked=sensor != GPS)
+                yield LocatedMessage(message, number, stream, checked=sensor != GPS)
 
     def _message(self, sensor: int, index: int) -> Message:
         if sensor not in self._makers or index < 0:
@@ -209,10 +209,10 @@ class Park(MatlabSource):
             self._reject(stream, int(k) + 1, f"{what} is not finite")
         return np.flatnonzero(good)
 
-    def _tree_messages(self) -> Iterator[Located]:
+    def _tree_messages(self) -> Iterator[LocatedMessage]:
         for number, (stamp, cell) in enumerate(self._trees, 1):
             try:
-                yield Located(_trees(stamp, cell), number, "trees")
+                yield LocatedMessage(_trees(stamp, cell), number, "trees")
             except MessageError as error:
                 self._reject("trees", number, error)
 

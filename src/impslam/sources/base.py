@@ -13,7 +13,7 @@ from pydantic import PrivateAttr
 from impslam.columns import ROWS, Batch
 from impslam.component import Component, find, names, near_miss, parameter
 from impslam.errors import SourceError
-from impslam.sources.parts import Located, Piece, gather, to_batches
+from impslam.sources.parts import LocatedMessage, Piece, gather, to_batches
 from impslam.sources.stamps import StampCheck
 from impslam.types import Message, TrueLandmark
 
@@ -129,7 +129,7 @@ class Source(Component):
         """Yield the rows of the log in parts of about `rows` rows, in file order."""
         return gather(self._messages(), rows)
 
-    def _messages(self) -> Iterator[Located]:
+    def _messages(self) -> Iterator[LocatedMessage]:
         """Yield the messages of the log, in file order."""
         raise NotImplementedError
 

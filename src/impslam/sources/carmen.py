@@ -22,7 +22,7 @@ from impslam.errors import MessageError
 from impslam.sources.base import Stream
 from impslam.sources.carmen_lines import line_laser, odometry, robot_laser
 from impslam.sources.carmen_shapes import Convert, Shape, read_table, shapes
-from impslam.sources.parts import Located, Piece, single
+from impslam.sources.parts import LocatedMessage, Piece, single
 from impslam.sources.tables import Lines
 from impslam.sources.text import TextSource, head
 from impslam.types import Array, Ints, LaserScan, Message, OdometryPose
@@ -104,8 +104,8 @@ class Carmen(TextSource):
             self._reject(name, self.path, number, error)
             return
         if pose and name == choice:
-            yield single(Located(pose[0], number, "ODOM", checked=False), 2 * number)
-        yield single(Located(last, number, name), 2 * number + 1)
+            yield single(LocatedMessage(pose[0], number, "ODOM", checked=False), 2 * number)
+        yield single(LocatedMessage(last, number, name), 2 * number + 1)
 
     def _report_guesses(self, part: Iterable[Piece]) -> None:
         """Report scans with an unusual number of beams, whose angles are a guess."""

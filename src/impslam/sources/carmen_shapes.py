@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 
 from impslam.errors import MessageError
-from impslam.sources.parts import Located, single
+from impslam.sources.parts import LocatedMessage, single
 from impslam.sources.tables import Lines
 from impslam.types import Array, Ints, LaserScan, Message
 
@@ -66,7 +66,7 @@ def _shape(line: bytes, name: str, convert: Convert) -> Shape | None:
     found = re.match(rb"(?:\S+\s+){%d}" % words, line)
     if found is None:
         return None
-    layout = single(Located(last, 0, name), 0).columns.layout
+    layout = single(LocatedMessage(last, 0, name), 0).columns.layout
     beams = len(last.ranges) if isinstance(last, LaserScan) else 0
     width, bright = len(tokens) - words - _TAIL, name == "ROBOTLASER1"
     pose = {"ODOM": 0, "ROBOTLASER1": width - 9}.get(name, beams + 3)

@@ -45,7 +45,7 @@ MOTIONS: tuple[tuple[Role, ...], ...] = (
 MIN_BEAMS = 3  # minimum number of consecutively numbered columns to recognise them as beams
 
 
-class Cells(NamedTuple):
+class CsvCells(NamedTuple):
     """Columns first to last - 1, and the factor that converts their numbers to m, s or rad."""
 
     first: int
@@ -53,7 +53,7 @@ class Cells(NamedTuple):
     factor: float
 
 
-class Layout(NamedTuple):
+class CsvLayout(NamedTuple):
     """The roles of the columns of a file.
 
     Attributes
@@ -63,12 +63,14 @@ class Layout(NamedTuple):
     angles : (n,) rad, of the beams; None if each row contains them
     """
 
-    cells: Mapping[Role, Cells]
+    cells: Mapping[Role, CsvCells]
     motion: tuple[Role, ...]
     angles: Array | None
 
 
-def layout(header: Sequence[str], given: Mapping[Role, str], start: float, step: float) -> Layout:
+def layout(
+    header: Sequence[str], given: Mapping[Role, str], start: float, step: float
+) -> CsvLayout:
     """Return the roles of the columns, given by the user or found by their names.
 
     Parameters
@@ -96,10 +98,10 @@ def layout(header: Sequence[str], given: Mapping[Role, str], start: float, step:
                 f"no column for {role} found ({shown}): name it with --columns {example}"
             )
     motion = next((roles for roles in MOTIONS if all(role in cells for role in roles)), ())
-    return Layout(cells, motion, _angles(header, cells, start, step))
+    return CsvLayout(cells, motion, _angles(header, cells, start, step))
 
 
-def _given_cells(header: Sequence[str], role: Role, text: str) -> Cells:
+def _given_cells(header: Sequence[str], role: Role, text: str) -> CsvCells:
     names, times, factor = text.partition("*")
     first, to, last = names.strip().partition(":")
     if bool(to) != (role == "ranges"):
@@ -112,7 +114,7 @@ def _given_cells(header: Sequence[str], role: Role, text: str) -> Cells:
     begin, end = _find(header, first), _find(header, last if to else first) + 1
     if end <= begin:
         raise MessageError(f"--columns {role}={text}: {last} is before {first} in the file")
-    return Cells(begin, end, by)
+    return CsvCells(begin, end, by)
 
 
 def _find(header: Sequence[str], name: str) -> int:
@@ -122,20 +124,20 @@ def _find(header: Sequence[str], name: str) -> int:
     return list(header).index(name)
 
 
-def _find_by_name(header: Sequence[str], names: Sequence[str]) -> Cells | None:
+def _find_by_name(header: Sequence[str], names: Sequence[str]) -> CsvCells | None:
     """Return the column with the first of some names that is in the header."""
     short = [name.lower().lstrip("%# ").rpartition(".")[2] for name in header]
     for name in names:
         for k, column in enumerate(short):
             stem, _, unit = column.rpartition("_")
             if column == name:
-                return Cells(k, k + 1, 1.0)
+                return CsvCells(k, k + 1, 1.0)
             if stem == name and unit in UNITS:
-                return Cells(k, k + 1, UNITS[unit])
+                return CsvCells(k, k + 1, UNITS[unit])
     return None
 
 
-def _beams(header: Sequence[str]) -> Cells | None:
+def _beams(header: Sequence[str]) -> CsvCells | None:
     """Return the longest run of columns whose names are numbers, or one name with a number after it."""
     stems = [_stem(name) for name in header]
     best, k = (0, 0), 0
@@ -148,7 +150,7 @@ def _beams(header: Sequence[str]) -> Cells | None:
     if count < MIN_BEAMS:
         return None
     unit = (stems[first] or "").strip("_[").rpartition("_")[2]
-    return Cells(first, first + count, UNITS.get(unit, 1.0))
+    return CsvCells(first, first + count, UNITS.get(unit, 1.0))
 
 
 def _stem(name: str) -> str | None:
@@ -167,7 +169,7 @@ def _number(name: str) -> float | None:
 
 
 def _angles(
-    header: Sequence[str], cells: Mapping[Role, Cells], start: float, step: float
+    header: Sequence[str], cells: Mapping[Role, CsvCells], start: float, step: float
 ) -> Array | None:
     beams = cells["ranges"]
     if math.isfinite(start) and math.isfinite(step):

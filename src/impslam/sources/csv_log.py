@@ -17,8 +17,8 @@ from pydantic import PrivateAttr
 from impslam.component import parameter, register
 from impslam.errors import MessageError, SourceError
 from impslam.sources.base import Stream
-from impslam.sources.csv_columns import Cells, Layout, Role, layout
-from impslam.sources.parts import Located
+from impslam.sources.csv_columns import CsvCells, CsvLayout, Role, layout
+from impslam.sources.parts import LocatedMessage
 from impslam.sources.text import TextSource, beam_angles, beam_times, check_finite, head
 from impslam.types import Array, LaserScan, Message, OdometryPose, Velocity, WheelAngles
 
@@ -52,7 +52,7 @@ class CsvLog(TextSource):
 
     _has_header: bool = PrivateAttr(default=True)
     _header: list[str] = PrivateAttr(default_factory=list)
-    _layout: Layout | None = PrivateAttr(default=None)
+    _layout: CsvLayout | None = PrivateAttr(default=None)
 
     @classmethod
     def recognises(cls, path: Path) -> bool:
@@ -96,13 +96,13 @@ class CsvLog(TextSource):
             )
         return streams
 
-    def _describe(self, cells: list[Cells]) -> str:
+    def _describe(self, cells: list[CsvCells]) -> str:
         firsts = [self._header[one.first] for one in cells]
         if cells[0].last - cells[0].first > 1:
             return f"columns {firsts[0]} to {self._header[cells[0].last - 1]}"
         return f"columns {', '.join(firsts)}"
 
-    def _columns(self) -> Layout:
+    def _columns(self) -> CsvLayout:
         if self._layout is None:
             try:
                 self._layout = layout(self._header, self.columns, self.angle_min, self.angle_step)
@@ -119,7 +119,7 @@ class CsvLog(TextSource):
         motion = self._columns().motion
         return kinds[motion[0]] if motion else None
 
-    def _messages(self) -> Iterator[Located]:
+    def _messages(self) -> Iterator[LocatedMessage]:
         """Yield the odometry of a row before its scan."""
         found, width, unit, mark = self._columns(), len(self._header), 0.0, b","
         used = sorted({k for cells in found.cells.values() for k in range(*cells[:2])})
@@ -140,9 +140,9 @@ class CsvLog(TextSource):
                 continue
             for k, message in enumerate(row):
                 stream = STREAMS[type(message)]
-                yield Located(message, number, stream, checked=k == len(row) - 1)
+                yield LocatedMessage(message, number, stream, checked=k == len(row) - 1)
 
-    def _odometry(self, values: Array, found: Layout, stamp: float) -> Iterator[Message]:
+    def _odometry(self, values: Array, found: CsvLayout, stamp: float) -> Iterator[Message]:
         """Yield the odometry of a row, unless its cells are empty."""
         cells = [_value(values, found.cells[role]) for role in found.motion]
         if not cells or all(map(math.isnan, cells)):
@@ -157,7 +157,7 @@ class CsvLog(TextSource):
             yield Velocity(stamp, *cells)
 
 
-def _scan(values: Array, found: Layout, stamp: float) -> Iterator[LaserScan]:
+def _scan(values: Array, found: CsvLayout, stamp: float) -> Iterator[LaserScan]:
     """Yield the scan of a row, unless its cells are empty."""
     beams = found.cells["ranges"]
     ranges = beams.factor * values[beams.first : beams.last]
@@ -184,7 +184,7 @@ def _numbers(cells: list[bytes], used: list[int], width: int) -> Array:
     return values
 
 
-def _value(values: Array, cells: Cells) -> float:
+def _value(values: Array, cells: CsvCells) -> float:
     return cells.factor * float(values[cells.first])
 
 

@@ -25,7 +25,7 @@ import numpy as np
 from impslam.component import register
 from impslam.errors import MessageError, SourceError
 from impslam.sources.base import Stream
-from impslam.sources.parts import Located
+from impslam.sources.parts import LocatedMessage
 from impslam.sources.text import TextSource, beam_angles, beam_times, check_finite, head, numbers
 from impslam.types import LaserScan, Message, TrueLandmark, TruePose, WheelAngles
 
@@ -56,7 +56,7 @@ class Lego(TextSource):
         reference = motors.with_name(motors.name.replace("_motors.txt", "_reference.txt"))
         return [motors, scans, *([reference] if reference.is_file() else [])]
 
-    def _messages(self) -> Iterator[Located]:
+    def _messages(self) -> Iterator[LocatedMessage]:
         motors, scans, *reference = self._files()
         wheels = self._read(motors, b"M", _wheels)
         sweeps = self._read(scans, b"S", self._scan)
@@ -84,7 +84,7 @@ class Lego(TextSource):
         tag: bytes,
         convert: Callable[[list[bytes]], Message],
         checked: bool = True,
-    ) -> Iterator[Located]:
+    ) -> Iterator[LocatedMessage]:
         for number, line in self._lines(path):
             tokens = line.split()
             if not tokens:
@@ -94,7 +94,7 @@ class Lego(TextSource):
             except (ValueError, IndexError, MessageError) as error:
                 self._reject(f"{tag.decode()} line", path, number, error)
             else:
-                yield Located(message, number, path.name, checked=checked)
+                yield LocatedMessage(message, number, path.name, checked=checked)
 
     def _scan(self, tokens: list[bytes]) -> LaserScan:
         n = int(tokens[2])

@@ -9,7 +9,7 @@ from contextlib import suppress
 import numpy as np
 
 from impslam.errors import MessageError
-from impslam.sources.transforms import FrameTree, Link
+from impslam.sources.transforms import FrameTransform, FrameTree
 from impslam.types import Array
 
 MAX_SHIFT, MAX_TURN = 1e-3, math.radians(0.1)
@@ -36,7 +36,7 @@ class MountWatch:
         self.frames = {link.child for _, links in chains.values() for link in links}
         self._moved: dict[str, str] = {}
 
-    def update(self, links: Iterable[Link]) -> None:
+    def update(self, links: Iterable[FrameTransform]) -> None:
         """Add new links."""
         own = [link for link in links if link.child in self.frames]
         for link in own:

@@ -26,7 +26,7 @@ from impslam.columns import Columns
 from impslam.component import parameter, register
 from impslam.errors import MessageError, SourceError
 from impslam.sources.base import Stream
-from impslam.sources.parts import Located, Piece, merge_order, single
+from impslam.sources.parts import LocatedMessage, Piece, merge_order, single
 from impslam.sources.tables import Lines
 from impslam.sources.text import TextSource, head, numbers
 from impslam.types import Array, Detections, Ints, TrueLandmark, TruePose, Velocity
@@ -95,7 +95,7 @@ class Mrclam(TextSource):
             part.append(Piece.of(columns, tracked[0]))
         yield [piece for piece in part if len(piece.columns)]
 
-    def _pictures(self, path: Path, subjects: dict[int, int]) -> Iterator[Located]:
+    def _pictures(self, path: Path, subjects: dict[int, int]) -> Iterator[LocatedMessage]:
         """Yield the detections of each picture that shows landmarks."""
         seen: list[Array] = []
         first = 0
@@ -105,13 +105,15 @@ class Mrclam(TextSource):
                 continue
             row[1] = label
             if seen and not 0.0 <= row[0] - seen[0][0] < PICTURE:
-                yield Located(_detections(np.array(seen)), int(first), path.name, checked=False)
+                yield LocatedMessage(
+                    _detections(np.array(seen)), int(first), path.name, checked=False
+                )
                 seen = []
             if not seen:
                 first = number
             seen.append(row)
         if seen:
-            yield Located(_detections(np.array(seen)), int(first), path.name, checked=False)
+            yield LocatedMessage(_detections(np.array(seen)), int(first), path.name, checked=False)
 
     def _landmark(
         self, path: Path, number: int, row: Array, subjects: dict[int, int]

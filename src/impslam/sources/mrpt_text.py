@@ -23,7 +23,7 @@ from impslam.component import register
 from impslam.errors import MessageError
 from impslam.geometry.se2 import compose
 from impslam.sources.base import Stream
-from impslam.sources.parts import Located
+from impslam.sources.parts import LocatedMessage
 from impslam.sources.text import TextSource, check_finite, head, numbers
 from impslam.types import Array, Detections, OdometryPose, TrueLandmark, TruePose
 
@@ -45,24 +45,24 @@ class MrptText(TextSource):
         lines = [line for line in head(path) if not line.startswith(b"#")][:4]
         return any(_plausible(line.split()) for line in lines)
 
-    def _messages(self) -> Iterator[Located]:
+    def _messages(self) -> Iterator[LocatedMessage]:
         stamp, pose = 0.0, np.zeros(3)
         truth = self._true_poses()
-        yield Located(OdometryPose(stamp, pose), 1, "ODOINC")
+        yield LocatedMessage(OdometryPose(stamp, pose), 1, "ODOINC")
         for number, line in self._lines(self.path):
             tokens = line.split()
             try:
                 if tokens[:1] == [b"ODOINC"]:
                     stamp += 1.0
                     pose = compose(pose, _increment(tokens))
-                    yield Located(OdometryPose(stamp, pose), number, "ODOINC")
+                    yield LocatedMessage(OdometryPose(stamp, pose), number, "ODOINC")
                 elif tokens[:1] == [b"BR"]:
                     true = next(truth, None)
                     if true is not None:
-                        yield Located(
+                        yield LocatedMessage(
                             TruePose(stamp, true), number, self._true_path.name, checked=False
                         )
-                    yield Located(_detections(stamp, tokens), number, "BR")
+                    yield LocatedMessage(_detections(stamp, tokens), number, "BR")
                 elif tokens and not _is_name(tokens[0]):
                     self._reject("line", self.path, number, "it does not start with a record name")
             except (ValueError, OverflowError, IndexError, MessageError) as error:

@@ -11,7 +11,7 @@ from impslam.columns import Batch, Columns, batches, same_layout, single_row
 from impslam.types import Array, Ints, Mask, Message
 
 
-class Located(NamedTuple):
+class LocatedMessage(NamedTuple):
     """A message with its stream and its place in the log, a line or message number.
 
     Messages of one record share its stamp; only one of them is `checked`, so that it is checked once.
@@ -51,13 +51,13 @@ def by_stream(part: Iterable[Piece]) -> dict[str, list[Piece]]:
     return streams
 
 
-def single(located: Located, order: int) -> Piece:
+def single(located: LocatedMessage, order: int) -> Piece:
     """Return a message as a piece of one row."""
     columns = single_row(located.stream, located.message, order)[located.stream]
     return Piece(columns, np.array([located.place]), np.array([located.checked]))
 
 
-def gather(messages: Iterable[Located], rows: int) -> Iterator[list[Piece]]:
+def gather(messages: Iterable[LocatedMessage], rows: int) -> Iterator[list[Piece]]:
     """Gather messages into parts of at most `rows` rows, with a piece per stream."""
     located: dict[str, list[tuple[int, bool]]] = {}
 

@@ -19,7 +19,7 @@ from impslam.sources.mount_watch import MountWatch
 from impslam.sources.ros_messages import read_transform
 from impslam.sources.ros_storage import Bag, RosMessage
 from impslam.sources.ros_topics import TF_TYPES, TYPES, is_truth
-from impslam.sources.transforms import FrameTree, Link, flattened
+from impslam.sources.transforms import FrameTransform, FrameTree, flattened
 from impslam.types import Array
 
 STATIC = "tf_static"
@@ -111,7 +111,7 @@ class Frames:
             if not is_before and self._tree.get(child) is not None:
                 continue
             try:
-                link = Link(parent, child, read_transform(transform))
+                link = FrameTransform(parent, child, read_transform(transform))
             except MessageError as error:
                 self._bad.setdefault(
                     child, f"the transform {parent} -> {child} is not valid: {error}"
@@ -195,7 +195,7 @@ class Frames:
         origin = f"{topics + ': ' if topics else ''}{base} -> {frame}"
         return Mount(planar.pose, planar.upside_down, planar.tilt, origin, base)
 
-    def _chain(self, base: str, frame: str) -> tuple[Array, list[Link]]:
+    def _chain(self, base: str, frame: str) -> tuple[Array, list[FrameTransform]]:
         """Return `T_base_frame` and its links; raise `MessageError` if there is none on the robot."""
         with np.errstate(all="ignore"):  # a damaged log may have links of 1e300 m
             T, links = self._tree.chain(base, frame)
@@ -231,13 +231,13 @@ class Frames:
         return f"{frame} leads up to {top}, not to {bases[0] if bases else 'base_link'}"
 
 
-def links(decode: Callable[[bytes], RosMessage], data: bytes) -> Iterator[Link]:
+def links(decode: Callable[[bytes], RosMessage], data: bytes) -> Iterator[FrameTransform]:
     """Yield the valid links of a serialised message."""
     with suppress(Exception):  # rosbags may raise anything on damaged data
         for transform in decode(data).transforms:
             with suppress(MessageError):
                 parent, child = _plain(transform.header.frame_id), _plain(transform.child_frame_id)
-                yield Link(parent, child, read_transform(transform))
+                yield FrameTransform(parent, child, read_transform(transform))
 
 
 def _is_static(connection: Connection) -> bool:

@@ -15,7 +15,7 @@ from impslam.columns import Columns, same_layout
 from impslam.errors import MessageError
 from impslam.sources import ros_messages as ros
 from impslam.sources.base import Problems
-from impslam.sources.parts import Located, Piece, single
+from impslam.sources.parts import LocatedMessage, Piece, single
 from impslam.sources.ros_frames import Edge
 from impslam.sources.ros_storage import Bag, RosMessage, one_line
 from impslam.sources.ros_tables import TABLES, Rows, Values, stamps, transforms
@@ -114,7 +114,7 @@ class RowReader:
             message = self._read(group[k])
             if not good[k] or message is None:
                 return None
-            first = single(Located(message, 0, connection.topic), 0).columns
+            first = single(LocatedMessage(message, 0, connection.topic), 0).columns
             places = np.array([record.place for record in group])[good]
             values = {name: column[good] for name, column in values.items()}
             values["stamp"] = stamps(nanoseconds[good].tolist())
@@ -148,7 +148,7 @@ class RowReader:
             )
         else:
             if message is not None:
-                yield single(Located(message, record.place, topic), record.place)
+                yield single(LocatedMessage(message, record.place, topic), record.place)
 
     def _read(self, record: Record) -> Message | None:
         """Return a record as a message; None if it contains only transforms other than odometry."""

@@ -23,7 +23,7 @@ Values = dict[str, Array]
 MAX_FIXED = 4096  # bytes of strings and lengths; messages with more are read one by one
 
 
-class Walk:
+class FieldWalk:
     """Locates the fields of a message in its bytes; raises an exception of any type if it is not valid.
 
     Attributes
@@ -96,7 +96,7 @@ class Rows:
     """
 
     def __init__(self, datas: Sequence[bytes], kind: str, store: Typestore, is_ros1: bool) -> None:
-        walk = Walk(datas[0], kind, store, is_ros1)
+        walk = FieldWalk(datas[0], kind, store, is_ros1)
         self._places = walk.places
         self._bytes = np.frombuffer(b"".join(datas), np.uint8).reshape(len(datas), -1)
         fixed = self._bytes[:, walk.fixed]

@@ -19,7 +19,7 @@ from impslam.columns import Columns
 from impslam.component import register
 from impslam.errors import MessageError
 from impslam.sources.base import Stream
-from impslam.sources.parts import Located, Piece, single
+from impslam.sources.parts import LocatedMessage, Piece, single
 from impslam.sources.tables import Lines
 from impslam.sources.text import TextSource, beam_angles, beam_times, check_finite, head, numbers
 from impslam.types import Array, LaserScan, WheelAngles
@@ -59,12 +59,12 @@ class TinySlam(TextSource):
     def _parts(self, rows: int) -> Iterator[list[Piece]]:
         """Yield the rows of a block of lines: as a table, or one by one if any is not valid."""
         del rows  # a block is small
-        clock = Clock()
+        clock = MicrosecondClock()
         for first, block in self._blocks(self.path):
             lines = Lines(block)
             yield _table(lines, first, clock) or list(self._one_by_one(lines, first, clock))
 
-    def _one_by_one(self, lines: Lines, first: int, clock: Clock) -> Iterator[Piece]:
+    def _one_by_one(self, lines: Lines, first: int, clock: MicrosecondClock) -> Iterator[Piece]:
         for k in range(len(lines)):
             number = first + k
             try:
@@ -72,8 +72,8 @@ class TinySlam(TextSource):
             except (ValueError, MessageError) as error:
                 self._reject("line", self.path, number, error)
                 continue
-            yield single(Located(wheels, number, "encoders", checked=False), 2 * number)
-            yield single(Located(scan, number, "lidar"), 2 * number + 1)
+            yield single(LocatedMessage(wheels, number, "encoders", checked=False), 2 * number)
+            yield single(LocatedMessage(scan, number, "lidar"), 2 * number + 1)
 
     def streams(self) -> list[Stream]:
         """Return encoders and scans, one of each per line."""
@@ -84,7 +84,7 @@ class TinySlam(TextSource):
         ]
 
 
-class Clock:
+class MicrosecondClock:
     """Unwraps a 32-bit count of microseconds: each time is the one nearest to the previous time."""
 
     def __init__(self) -> None:
@@ -99,7 +99,7 @@ class Clock:
         return self._time * 1e-6
 
 
-def _table(lines: Lines, first: int, clock: Clock) -> list[Piece]:
+def _table(lines: Lines, first: int, clock: MicrosecondClock) -> list[Piece]:
     """Return the rows of lines that are all valid and of one layout; nothing otherwise."""
     words = lines.line(0).split()
     layout = LAYOUTS.get(len(words))
@@ -117,14 +117,14 @@ def _table(lines: Lines, first: int, clock: Clock) -> list[Piece]:
     places = first + np.arange(len(lines))
     wheels = {"stamp": stamps, "left": left.copy(), "right": right}
     sweeps = {"stamp": stamps, "ranges": ranges}
-    shared = single(Located(scan, 0, "lidar"), 0).columns.layout
+    shared = single(LocatedMessage(scan, 0, "lidar"), 0).columns.layout
     return [
         Piece.of(Columns("encoders", WheelAngles, 2 * places, wheels, {}), places, checked=False),
         Piece.of(Columns("lidar", LaserScan, 2 * places + 1, sweeps, shared), places),
     ]
 
 
-def _record(tokens: list[bytes], clock: Clock) -> tuple[WheelAngles, LaserScan]:
+def _record(tokens: list[bytes], clock: MicrosecondClock) -> tuple[WheelAngles, LaserScan]:
     layout = LAYOUTS.get(len(tokens))
     if layout is None:
         raise MessageError(f"{len(tokens)} words instead of {' or '.join(map(str, LAYOUTS))}")

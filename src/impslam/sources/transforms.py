@@ -22,7 +22,7 @@ DIGITS = 9
 """Decimal places of a pose in m and rad; beyond them there are only rounding errors."""
 
 
-class Link(NamedTuple):
+class FrameTransform(NamedTuple):
     """The pose of a frame in its parent: `T` (4, 4), m."""
 
     parent: str
@@ -82,17 +82,17 @@ class FrameTree:
     """Frames with links to their parents; if a frame has several parents, the first counts."""
 
     def __init__(self) -> None:
-        self._links: dict[str, Link] = {}
+        self._links: dict[str, FrameTransform] = {}
 
     def __contains__(self, frame: str) -> bool:
         """Return whether a frame has a parent or a child."""
         return frame in self._links or any(link.parent == frame for link in self._links.values())
 
-    def get(self, child: str) -> Link | None:
+    def get(self, child: str) -> FrameTransform | None:
         """Return the link of a frame to its parent."""
         return self._links.get(child)
 
-    def add(self, link: Link) -> bool:
+    def add(self, link: FrameTransform) -> bool:
         """Set the link of a frame, unless it has another parent; return whether it was set."""
         known = self._links.get(link.child)
         if known is not None and known.parent != link.parent:
@@ -106,7 +106,7 @@ class FrameTree:
         tree._links = dict(self._links)
         return tree
 
-    def up(self, frame: str, top: str = "") -> list[Link]:
+    def up(self, frame: str, top: str = "") -> list[FrameTransform]:
         """Return the links from a frame up to the frame `top`, or else to the root.
 
         Raises
@@ -114,7 +114,7 @@ class FrameTree:
         MessageError
             If they form a loop.
         """
-        links: list[Link] = []
+        links: list[FrameTransform] = []
         while frame != top and (link := self._links.get(frame)) is not None:
             if any(link is passed for passed in links):
                 ring = " -> ".join(passed.child for passed in links)
@@ -123,7 +123,7 @@ class FrameTree:
             frame = link.parent
         return links
 
-    def chain(self, base: str, frame: str) -> tuple[Array, list[Link]]:
+    def chain(self, base: str, frame: str) -> tuple[Array, list[FrameTransform]]:
         """Return `T_base_frame` (4, 4) and the links that it consists of.
 
         Raises
@@ -143,7 +143,7 @@ class FrameTree:
         return np.linalg.inv(_product(ups)) @ _product(downs), ups + downs
 
 
-def _product(links: list[Link]) -> Array:
+def _product(links: list[FrameTransform]) -> Array:
     """Return `T_top_bottom` of links from the bottom to the top."""
     T = np.eye(4)
     for link in links:

@@ -16,7 +16,7 @@ from impslam.studies.arena_experiment import (
 from impslam.studies.arena_seeds import MIN_DRIFT, drifting_seeds
 from impslam.studies.arena_tables import tables
 from impslam.studies.report import Picture, Section
-from impslam.studies.sweep import Run, simulate_and_map, sweep
+from impslam.studies.sweep import StudyRun, simulate_and_map, sweep
 from impslam.sweeps.job import Job
 from impslam.sweeps.rows import by_variant, failures, median_row
 
@@ -78,7 +78,7 @@ def _text(experiment: Experiment, seeds: Sequence[int]) -> str:
     return f"{about}\n\n{experiment.text['text'].format(**TEXT['paragraphs'])}"
 
 
-def _picture(experiment: Experiment, shown: Mapping[str, Run]) -> Picture:
+def _picture(experiment: Experiment, shown: Mapping[str, StudyRun]) -> Picture:
     from impslam.studies.map_plot import ARENA, draw_maps  # noqa: PLC0415  matplotlib, 0.3 s
 
     titles = {

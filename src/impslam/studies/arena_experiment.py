@@ -13,7 +13,7 @@ import numpy as np
 from impslam.evaluation.landmarks import corners, score_landmarks
 from impslam.simulation.world import load_world
 from impslam.studies.report import load_text
-from impslam.studies.sweep import Run, Variant, grid
+from impslam.studies.sweep import StudyRun, Variant, grid
 from impslam.sweeps.rows import Row
 from impslam.sweeps.statistics import Quantiles
 from impslam.types import TrueLandmark
@@ -72,7 +72,7 @@ class Experiment:
         return NAMED if variant == DEFAULT else self.names
 
 
-def landmark_metrics(run: Run) -> Row:
+def landmark_metrics(run: StudyRun) -> Row:
     """Return the errors of the arena's landmarks.
 
     `missing` are names, `false` and `doubles` ids. `distance NAME` (m) is that of points, and perpendicular

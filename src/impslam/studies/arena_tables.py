@@ -15,7 +15,7 @@ from impslam.evaluation.landmarks import score_landmarks
 from impslam.geometry.angles import wrap
 from impslam.studies.arena_experiment import END, TEXT, Experiment, true_landmarks
 from impslam.studies.report import ResultTable, make_table
-from impslam.studies.sweep import Run
+from impslam.studies.sweep import StudyRun
 from impslam.sweeps.statistics import (
     MEDIAN_95,
     Quantiles,
@@ -33,7 +33,7 @@ Groups = Mapping[str, Rows]
 
 
 def tables(
-    experiment: Experiment, runs: Groups, readings: Groups, shown: Mapping[str, Run]
+    experiment: Experiment, runs: Groups, readings: Groups, shown: Mapping[str, StudyRun]
 ) -> list[ResultTable]:
     """Return the tables of an experiment: runs and other readings by variant, and the runs drawn."""
     walls = wall_table(experiment, runs)
@@ -132,10 +132,10 @@ def map_table(experiment: Experiment, runs: Groups) -> ResultTable:
     return ResultTable(title, made.header, [*made.rows, wheels], note=NOTES["map"])
 
 
-def position_table(experiment: Experiment, shown: Mapping[str, Run]) -> ResultTable:
+def position_table(experiment: Experiment, shown: Mapping[str, StudyRun]) -> ResultTable:
     """Return actual and detected positions of the runs in the picture."""
 
-    def detected(run: Run) -> Callable[[str], str]:
+    def detected(run: StudyRun) -> Callable[[str], str]:
         marks = {mark.id: mark.position for mark in run.landmarks}
         found = score_landmarks(run.landmarks, list(TRUE.values())).found
         positions = {error.name: marks[error.id] for error in found}

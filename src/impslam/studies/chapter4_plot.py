@@ -19,7 +19,7 @@ from impslam.evaluation.plots import new_figure, quiet
 from impslam.extractors.readings import usable
 from impslam.geometry.se2 import compose, transform
 from impslam.simulation.camera import SceneCamera
-from impslam.studies.chapter4_scans import Detections, Jumps, Snapshot
+from impslam.studies.chapter4_scans import Detections, Jumps, SceneSnapshot
 from impslam.studies.map_plot import GROUND, draw_scene
 from impslam.types import Array, Observation
 
@@ -124,7 +124,7 @@ def _is_wide(box: Sequence[float]) -> bool:
     return box[1] - box[0] > 1.5 * (box[3] - box[2])
 
 
-def _bounds(snapshot: Snapshot) -> tuple[float, float, float, float]:
+def _bounds(snapshot: SceneSnapshot) -> tuple[float, float, float, float]:
     """Return left, right, bottom, top in map of the readings and the robot."""
     points = transform(snapshot.pose, snapshot.scan.points[usable(snapshot.scan)])
     points = np.vstack([points, snapshot.pose[:2] - ROBOT, snapshot.pose[:2] + ROBOT])
@@ -162,14 +162,14 @@ def _legend(figure: Any, detections: Detections, columns: int) -> None:
     figure.legend(handles=_keys(detections), loc="outside upper center", ncols=columns, **LEGEND)
 
 
-def _field(axes: Axes, snapshot: Snapshot) -> None:
+def _field(axes: Axes, snapshot: SceneSnapshot) -> None:
     """Draw how far and wide the lidar sees."""
     x, y, heading = compose(snapshot.pose, snapshot.scan.laser)
     low, high = np.degrees(heading + snapshot.scan.angles[[0, -1]])
     axes.add_patch(Wedge((x, y), snapshot.scan.range_max, low, high, fc=FIELD, ec="none", zorder=0))
 
 
-def _world(axes: Axes, snapshot: Snapshot) -> None:
+def _world(axes: Axes, snapshot: SceneSnapshot) -> None:
     """Draw the true scene: straight things, round things, and legs."""
     draw_scene(axes, snapshot.scene, snapshot.leaves, 4.0)
     for x, y, radius in snapshot.legs:
@@ -184,7 +184,7 @@ def _robot(axes: Axes, pose: Array) -> None:
 
 
 def _findings(
-    axes: Axes, snapshot: Snapshot, found: Sequence[Observation], colour: str, radius: float
+    axes: Axes, snapshot: SceneSnapshot, found: Sequence[Observation], colour: str, radius: float
 ) -> None:
     spurious = colour == SPURIOUS
     style: Any = (0, (3, 1.2)) if spurious else "-"

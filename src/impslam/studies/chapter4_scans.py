@@ -55,7 +55,7 @@ WALKERS = (
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Snapshot:
+class SceneSnapshot:
     """A scan and the true scene at its middle.
 
     `pose` (3,) is `T_map_base`. In map: `surfaces` (s, 4) m are the flat things that count as walls (walls,
@@ -89,7 +89,7 @@ class Snapshot:
 class Detections:
     """The true and the spurious detections of an extractor in a scan."""
 
-    snapshot: Snapshot
+    snapshot: SceneSnapshot
     true: tuple[Observation, ...]
     spurious: tuple[Observation, ...]
 
@@ -135,7 +135,7 @@ def world_of(name: str) -> World:
     return load_world(name)
 
 
-def snapshots(world: World, seed: int = 0) -> Iterator[Snapshot]:
+def snapshots(world: World, seed: int = 0) -> Iterator[SceneSnapshot]:
     """Yield the scans of a run at `RATE` from the thesis's sensor, de-skewed with the true motion."""
     sensor = load("thesis-points").make_robot().sensors["lidar"]
     robot = SimulatedRobot(lidar=Lidar(rate=RATE))
@@ -155,7 +155,7 @@ def snapshots(world: World, seed: int = 0) -> Iterator[Snapshot]:
         pose = trajectory.at(np.array([middle]))[0]
         leaves, legs = scene.leaves(middle), scene.legs(middle)
         surfaces = np.vstack([walls, select_walls(leaves)])
-        yield Snapshot(number, time, scan, pose, scene, surfaces, leaves, legs)
+        yield SceneSnapshot(number, time, scan, pose, scene, surfaces, leaves, legs)
 
 
 def select_walls(segments: Array) -> Array:
@@ -174,7 +174,7 @@ def extractor(preset: str, kind: str, *settings: str) -> Extractor:
     return made
 
 
-def detect(snapshot: Snapshot, extractor: Extractor, seed: int = 0) -> Detections:
+def detect(snapshot: SceneSnapshot, extractor: Extractor, seed: int = 0) -> Detections:
     """Run an extractor on a scan; its random draws depend only on the seed and the scan's number."""
     found = extractor.extract(snapshot.scan, np.random.default_rng([seed, snapshot.number]))
     true = [true_thing(snapshot, finding) >= 0 for finding in found]
@@ -212,7 +212,7 @@ class ThesisExtractors:
         low = jump.model_copy(update={"threshold": filtered.threshold})
         return cls(jump, low, filtered, extractor("thesis-lines", "walls", "kind=ransac"), hough)
 
-    def detect(self, scans: list[Snapshot]) -> FoundByExtractor:
+    def detect(self, scans: list[SceneSnapshot]) -> FoundByExtractor:
         """Return the detections of each extractor in the scans."""
         return {
             name: [detect(snapshot, extractor) for snapshot in scans]
@@ -224,7 +224,7 @@ class ThesisExtractors:
         return {name: getattr(self, name) for name in self.__slots__}
 
 
-def true_thing(snapshot: Snapshot, finding: Observation) -> int:
+def true_thing(snapshot: SceneSnapshot, finding: Observation) -> int:
     """Return the index of the true thing that a detection is of, -1 if there is none.
 
     For a cylinder it is the nearest one of `scene.circles` within `MAX_DISTANCE` of its centre. For a wall

@@ -17,7 +17,7 @@ from impslam.evaluation.landmarks import score_landmarks
 from impslam.geometry.angles import wrap
 from impslam.simulation.robot import Lidar, SimulatedRobot, WheelEncoders
 from impslam.studies.arena_experiment import true_landmarks
-from impslam.studies.sweep import Run, Variant, sweep
+from impslam.studies.sweep import StudyRun, Variant, sweep
 from impslam.sweeps.cases import ROBOT
 from impslam.sweeps.job import Job
 from impslam.sweeps.rows import Row, by_variant
@@ -30,7 +30,7 @@ SETTLED = 2.0
 
 
 @dataclass(frozen=True)
-class Case:
+class ConsistencyCase:
     """A simulated robot with its settings and filters."""
 
     name: str
@@ -58,14 +58,14 @@ _EXACT_SETTINGS = (
 )
 _EXACT = {"encoders": _NO_SLIP, "lidar": Lidar(bias_sigma=0.0, divergence=0.0)}
 CASES = (
-    Case("as it is"),
-    Case(
+    ConsistencyCase("as it is"),
+    ConsistencyCase(
         "no slip, and told so",
         ROBOT.model_copy(update={"encoders": _NO_SLIP}),
         _NO_SLIP_SETTINGS,
         FILTERS[-1:],
     ),
-    Case(
+    ConsistencyCase(
         "nor bias nor mixed pixels, walls told flat",
         ROBOT.model_copy(update=_EXACT),
         (*_NO_SLIP_SETTINGS, *_EXACT_SETTINGS),
@@ -103,7 +103,7 @@ class ArenaConsistency:
 
 
 def arena_consistency(
-    job: Job, runs: int, cases: Sequence[Case] = CASES
+    job: Job, runs: int, cases: Sequence[ConsistencyCase] = CASES
 ) -> tuple[list[ArenaConsistency], list[Row]]:
     """Simulate, map and score the arena; cases after the first get half the runs.
 
@@ -120,7 +120,7 @@ def arena_consistency(
     return results, rows
 
 
-def consistency_metrics(run: Run) -> Row:
+def consistency_metrics(run: StudyRun) -> Row:
     """Return the pose NEES (n,) by time (n,), and the means by kind of NIS and landmarks' NEES."""
     stamps = run.rows.stamps
     nis, landmarks = nis_by_kind(run.matches), landmark_nees(run.landmarks, true_landmarks())

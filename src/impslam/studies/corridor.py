@@ -21,7 +21,7 @@ from impslam.studies.corridor_metrics import (
 from impslam.studies.corridor_truth import corridor_truth, corridor_world, false_landmarks
 from impslam.studies.corridor_walls import total_counts
 from impslam.studies.report import Picture, ResultTable, Section, make_table
-from impslam.studies.sweep import Run, simulate_and_map, sweep
+from impslam.studies.sweep import StudyRun, simulate_and_map, sweep
 from impslam.sweeps.job import Job
 from impslam.sweeps.rows import Row, by_variant, failures, median_row
 from impslam.sweeps.statistics import MEDIAN_95, Quantiles, Rows, mean_of, number, quantiles_of
@@ -73,7 +73,7 @@ def _pictures(seed: int) -> list[Picture]:
     ]
 
 
-def _title(run: Run) -> str:
+def _title(run: StudyRun) -> str:
     length, end = run.travelled[-1], run.errors[-1]
     share = 100.0 * end / length
     return f"{run.variant.name}: ends {end:.2f} m off, {share:.2f} % of {length:.0f} m"

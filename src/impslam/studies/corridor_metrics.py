@@ -8,7 +8,7 @@ import numpy as np
 
 from impslam.evaluation.landmarks import score_landmarks
 from impslam.studies.corridor_truth import (
-    Verdict,
+    Classification,
     corridor_truth,
     corridor_world,
     false_landmarks,
@@ -16,7 +16,7 @@ from impslam.studies.corridor_truth import (
 )
 from impslam.studies.corridor_walls import COUNTS, count_walls
 from impslam.studies.report import load_text
-from impslam.studies.sweep import Run, Variant, grid
+from impslam.studies.sweep import StudyRun, Variant, grid
 from impslam.sweeps.rows import Row
 from impslam.types import Landmark
 
@@ -31,7 +31,7 @@ MAX_DRIFT = 0.005
 """Target error of the end, as a share of the distance travelled."""
 
 
-def corridor_metrics(run: Run) -> Row:
+def corridor_metrics(run: StudyRun) -> Row:
     """Return the metrics of a run beyond the errors of its path.
 
     `holds` is the distance driven before the error of the path first exceeds `MAX_DRIFT` of the whole, m.
@@ -57,13 +57,13 @@ def corridor_metrics(run: Run) -> Row:
     return row
 
 
-def distance_held(run: Run, off: float) -> float:
+def distance_held(run: StudyRun, off: float) -> float:
     """Return the distance driven before the error of the path first exceeds `off`, m."""
     lost = np.flatnonzero(run.errors > off)
     return float(run.travelled[lost[0] if len(lost) else -1])
 
 
-def _at_birth(run: Run, number: int) -> Verdict:
+def _at_birth(run: StudyRun, number: int) -> Classification:
     """Classify a landmark at the time when it entered the map."""
     _, stamp, observation = run.promotions[number]
     truth = corridor_truth()

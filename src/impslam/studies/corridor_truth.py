@@ -38,7 +38,7 @@ MAX_LANDMARK_TURN = math.radians(5.0)
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class Classification:
     """Classification of an observation.
 
     Attributes
@@ -79,13 +79,13 @@ def corridor_truth() -> CorridorTruth:
     return CorridorTruth(corridor_world(), ROBOT.lidar)
 
 
-def judge(sweep: TracedSweep, seen: Observation) -> Verdict:
+def judge(sweep: TracedSweep, seen: Observation) -> Classification:
     """Classify an observation by comparison with the true things, at the robot's true pose."""
     on_people = sweep.hits[seen.beams] >= len(sweep.round) - len(sweep.legs)
     position = _position(sweep.pose, seen)
     gaps = np.hypot(*(_people(sweep) - position).T)
     near = bool((gaps < PERSON_RADIUS).any()) and (_clearance(sweep, position) > MAX_POINT_DISTANCE)
-    return Verdict(
+    return Classification(
         near or bool(on_people.mean() >= MIN_BEAM_SHARE),
         bool(on_people.any()),
         not (is_wall(sweep, seen) if seen.kind == "wall" else _is_point(sweep, seen, position)),

@@ -12,7 +12,7 @@ from impslam.component import build
 from impslam.config import load
 from impslam.extractors.base import Extractor
 from impslam.sensors.lidar2d import Lidar2D
-from impslam.studies.corridor_truth import Verdict, corridor_truth, judge
+from impslam.studies.corridor_truth import Classification, corridor_truth, judge
 from impslam.studies.ground_truth import true_twist
 from impslam.studies.report import load_text
 from impslam.sweeps.rows import Row
@@ -47,7 +47,7 @@ def count_walls(
     return counts
 
 
-def tally(walls: Sequence[Verdict]) -> dict[str, int]:
+def tally(walls: Sequence[Classification]) -> dict[str, int]:
     """Return `COUNTS` of the walls of one scan."""
     spurious = [wall for wall in walls if wall.false]
     people = sum(wall.person for wall in spurious)

@@ -31,7 +31,7 @@ SECONDS = 150.0
 """s of a log that are used: some 40 m of driving, with loops in each of the logs."""
 
 
-class Drive(NamedTuple):
+class RecordedDrive(NamedTuple):
     """The recording of a drive.
 
     Attributes
@@ -62,7 +62,7 @@ class Drive(NamedTuple):
         last = self.scans.order[-1] + 1 if row >= len(self.scans) else self.scans.order[row]
         return np.asarray(self.odometry.order >= last)
 
-    def keep(self, scans: Mask | Ints | slice, odometry: Mask | Ints | slice) -> Drive:
+    def keep(self, scans: Mask | Ints | slice, odometry: Mask | Ints | slice) -> RecordedDrive:
         """Return the drive with some of the rows."""
         return self._replace(
             odometry=self.odometry.take(odometry),
@@ -70,7 +70,7 @@ class Drive(NamedTuple):
             truth=self.truth[scans],
         )
 
-    def with_scans(self, **values: Array) -> Drive:
+    def with_scans(self, **values: Array) -> RecordedDrive:
         """Return the drive with other values of its scans, such as `ranges` (n, beams)."""
         return self._replace(scans=with_values(self.scans, **values))
 
@@ -80,7 +80,7 @@ def with_values(columns: Columns, **values: Array) -> Columns:
     return replace(columns, values={**columns.values, **values})
 
 
-def numbered(drive: Drive) -> Drive:
+def numbered(drive: RecordedDrive) -> RecordedDrive:
     """Return the drive with unique orders of the rows; at equal orders, odometry comes first."""
     orders = np.concatenate((drive.odometry.order, drive.scans.order))
     unique = np.empty(len(orders), np.int64)
@@ -95,7 +95,7 @@ def numbered(drive: Drive) -> Drive:
 class DriveSource(Source):
     """A source that provides a drive like a log."""
 
-    _drive: Drive = PrivateAttr()
+    _drive: RecordedDrive = PrivateAttr()
 
     @classmethod
     def recognises(cls, path: Path) -> bool:
@@ -104,14 +104,14 @@ class DriveSource(Source):
         return False
 
     @classmethod
-    def of(cls, drive: Drive) -> Self:
+    def of(cls, drive: RecordedDrive) -> Self:
         """Return the source of a drive."""
         source = cls(path=drive.path)
         source._drive = numbered(drive)
         return source
 
     @property
-    def drive(self) -> Drive:
+    def drive(self) -> RecordedDrive:
         """The drive, with unique orders of its rows."""
         return self._drive
 
@@ -138,7 +138,7 @@ class DriveSource(Source):
         yield [Piece.of(columns, columns.order) for columns in self._columns()]
 
 
-def simulated(world: str, seed: int, settings: Sequence[str] = ()) -> Drive:
+def simulated(world: str, seed: int, settings: Sequence[str] = ()) -> RecordedDrive:
     """Simulate the robot of the thesis in a shipped world."""
     known = load_world(world)
     config = load("imp", [f"start={list(map(float, known.robot.start))}", *settings])
@@ -148,10 +148,10 @@ def simulated(world: str, seed: int, settings: Sequence[str] = ()) -> Drive:
     truth = batch[TruePose.__name__]
     rows = np.searchsorted(truth.stamps, scans.stamps)
     path = Path(str(files("impslam.simulation.worlds") / f"{world}.toml"))
-    return Drive(path, config, odometry, scans, truth["pose"][rows])
+    return RecordedDrive(path, config, odometry, scans, truth["pose"][rows])
 
 
-def recorded(log: Path, config: str | None = None, seconds: float = SECONDS) -> Drive:
+def recorded(log: Path, config: str | None = None, seconds: float = SECONDS) -> RecordedDrive:
     """Read the first seconds of a log; the truth is unknown."""
     chosen, source = open_log(log, config)
     consumed = chosen.make_robot().odometry.consumes
@@ -166,7 +166,7 @@ def recorded(log: Path, config: str | None = None, seconds: float = SECONDS) -> 
     steps = np.clip(np.diff(scans.stamps, prepend=scans.stamps[0]), 0.0, 1.0)
     scans = scans.take(np.cumsum(steps) < seconds)
     odometry = odometry.take(odometry.order <= scans.order[-1])
-    return Drive(log, chosen, odometry, scans, np.full((len(scans), 3), math.nan))
+    return RecordedDrive(log, chosen, odometry, scans, np.full((len(scans), 3), math.nan))
 
 
 def metres_per_reading(odometry: Mapping[str, Any]) -> float:

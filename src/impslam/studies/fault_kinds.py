@@ -16,11 +16,11 @@ import numpy as np
 
 from impslam.columns import Columns
 from impslam.geometry.se2 import between, compose, exp, inverse, log
-from impslam.studies.drives import Drive, metres_per_reading, with_values
+from impslam.studies.drives import RecordedDrive, metres_per_reading, with_values
 from impslam.types import Array, OdometryPose
 
 Rng: TypeAlias = np.random.Generator
-Fault: TypeAlias = Callable[[Drive, Rng], Drive]
+Fault: TypeAlias = Callable[[RecordedDrive, Rng], RecordedDrive]
 
 TRACK = 0.4
 """m between wheels that are not in the log."""
@@ -34,13 +34,13 @@ RANGE_NOISE = 0.01
 """m, noise of simulated ranges."""
 
 
-def draw_begin(drive: Drive, rng: Rng) -> int:
+def draw_begin(drive: RecordedDrive, rng: Rng) -> int:
     """Draw the row of scans at which a fault begins."""
     n = len(drive.scans)
     return int(rng.integers(n // 3, n // 2))
 
 
-def none(drive: Drive, rng: Rng) -> Drive:
+def none(drive: RecordedDrive, rng: Rng) -> RecordedDrive:
     """Change nothing."""
     del rng
     return drive
@@ -52,7 +52,7 @@ def none(drive: Drive, rng: Rng) -> Drive:
 def dropped(share: float) -> Fault:
     """Lose a share of the scans."""
 
-    def fault(drive: Drive, rng: Rng) -> Drive:
+    def fault(drive: RecordedDrive, rng: Rng) -> RecordedDrive:
         kept = rng.random(len(drive.scans)) >= share
         kept[0] = True
         return drive.keep(kept, slice(None))
@@ -60,13 +60,13 @@ def dropped(share: float) -> Fault:
     return fault
 
 
-def doubled(drive: Drive, rng: Rng) -> Drive:
+def doubled(drive: RecordedDrive, rng: Rng) -> RecordedDrive:
     """Record every scan twice."""
     del rng
     return drive.keep(np.repeat(np.arange(len(drive.scans)), 2), slice(None))
 
 
-def shuffled(drive: Drive, rng: Rng) -> Drive:
+def shuffled(drive: RecordedDrive, rng: Rng) -> RecordedDrive:
     """Shuffle the scans, with their stamps, within each half second."""
     n, block = len(drive.scans), drive.rows(0.5)
     rows = np.lexsort((rng.random(n), np.arange(n) // block))
@@ -74,7 +74,7 @@ def shuffled(drive: Drive, rng: Rng) -> Drive:
     return moved._replace(scans=replace(moved.scans, order=drive.scans.order))
 
 
-def gap(drive: Drive, rng: Rng) -> Drive:
+def gap(drive: RecordedDrive, rng: Rng) -> RecordedDrive:
     """Record no data for a while."""
     i = draw_begin(drive, rng)
     j = i + drive.rows(GAP)
@@ -82,14 +82,14 @@ def gap(drive: Drive, rng: Rng) -> Drive:
     return drive.keep((rows < i) | (rows >= j), ~drive.after(i) | drive.after(j))
 
 
-def late(drive: Drive, rng: Rng) -> Drive:
+def late(drive: RecordedDrive, rng: Rng) -> RecordedDrive:
     """Delay the ranges of the scans by 0.3 s."""
     del rng
     rows = np.maximum(np.arange(len(drive.scans)) - drive.rows(0.3), 0)
     return drive.with_scans(ranges=drive.scans["ranges"][rows])
 
 
-def repeated(drive: Drive, rng: Rng) -> Drive:
+def repeated(drive: RecordedDrive, rng: Rng) -> RecordedDrive:
     """Repeat one scan for a while."""
     i = draw_begin(drive, rng)
     ranges = drive.scans["ranges"].copy()
@@ -100,7 +100,7 @@ def repeated(drive: Drive, rng: Rng) -> Drive:
 # ------------------------------------------------------------------ ranges
 
 
-def turned(drive: Drive, rng: Rng) -> Drive:
+def turned(drive: RecordedDrive, rng: Rng) -> RecordedDrive:
     """Turn the lidar on its mount by 5 degrees during the drive."""
     i, angles = draw_begin(drive, rng), drive.scans["angles"]
     step = float(np.median(np.diff(angles)))
@@ -112,13 +112,13 @@ def turned(drive: Drive, rng: Rng) -> Drive:
     return drive.with_scans(ranges=ranges)
 
 
-def mirrored(drive: Drive, rng: Rng) -> Drive:
+def mirrored(drive: RecordedDrive, rng: Rng) -> RecordedDrive:
     """Mount the lidar upside down, without a change of the config."""
     del rng
     return drive.with_scans(ranges=drive.scans["ranges"][:, ::-1].copy())
 
 
-def covered(drive: Drive, rng: Rng) -> Drive:
+def covered(drive: RecordedDrive, rng: Rng) -> RecordedDrive:
     """Cover half of the beams with an object on the robot, from some time on."""
     i, n = draw_begin(drive, rng), drive.scans["ranges"].shape[1]
     ranges, first = drive.scans["ranges"].copy(), int(rng.integers(0, n // 2))
@@ -130,7 +130,7 @@ def covered(drive: Drive, rng: Rng) -> Drive:
 def filled(value: float) -> Fault:
     """Set 30 % of the beams to an invalid range."""
 
-    def fault(drive: Drive, rng: Rng) -> Drive:
+    def fault(drive: RecordedDrive, rng: Rng) -> RecordedDrive:
         ranges = drive.scans["ranges"]
         bad = rng.random(ranges.shape) < 0.3
         return drive.with_scans(ranges=np.where(bad, value, ranges))
@@ -138,13 +138,13 @@ def filled(value: float) -> Fault:
     return fault
 
 
-def scaled(drive: Drive, rng: Rng) -> Drive:
+def scaled(drive: RecordedDrive, rng: Rng) -> RecordedDrive:
     """Measure all ranges 3 % too long."""
     del rng
     return drive.with_scans(ranges=1.03 * drive.scans["ranges"])
 
 
-def people(drive: Drive, rng: Rng) -> Drive:
+def people(drive: RecordedDrive, rng: Rng) -> RecordedDrive:
     """Add people who walk along with the robot, 0.7 to 3 m away."""
     scans, n = drive.scans, len(drive.scans)
     seconds = drive.period * np.arange(n)[:, None]
@@ -165,13 +165,13 @@ def people(drive: Drive, rng: Rng) -> Drive:
 # ------------------------------------------------------------------ odometry
 
 
-def absent(drive: Drive, rng: Rng) -> Drive:
+def absent(drive: RecordedDrive, rng: Rng) -> RecordedDrive:
     """Record no odometry."""
     del rng
     return drive.keep(slice(None), slice(0, 0))
 
 
-def reset(drive: Drive, rng: Rng) -> Drive:
+def reset(drive: RecordedDrive, rng: Rng) -> RecordedDrive:
     """Reset odometry to 0 during the drive."""
     odometry, on = drive.odometry, drive.after(draw_begin(drive, rng))
     first = int(np.argmax(on))
@@ -186,7 +186,7 @@ def reset(drive: Drive, rng: Rng) -> Drive:
     return drive._replace(odometry=with_values(odometry, **values))
 
 
-def with_wheels(drive: Drive, change: Callable[[Array], Array]) -> Drive:
+def with_wheels(drive: RecordedDrive, change: Callable[[Array], Array]) -> RecordedDrive:
     """Return the drive with changed distances (m, 2) in m of the left and the right wheel, by row."""
     odometry = drive.odometry
     if odometry.kind is OdometryPose:
@@ -215,7 +215,7 @@ def _integrate(odometry: Columns, change: Callable[[Array], Array]) -> Array:
 def wheels(factors: tuple[float, float], seconds: float = FROZEN) -> Fault:
     """Scale the distances of the left and the right wheel for a while."""
 
-    def fault(drive: Drive, rng: Rng) -> Drive:
+    def fault(drive: RecordedDrive, rng: Rng) -> RecordedDrive:
         i = draw_begin(drive, rng)
         during = drive.after(i) & ~drive.after(i + drive.rows(seconds))
         return with_wheels(drive, lambda d: np.where(during[:, None], d * np.array(factors), d))
@@ -223,14 +223,14 @@ def wheels(factors: tuple[float, float], seconds: float = FROZEN) -> Fault:
     return fault
 
 
-def slipped(drive: Drive, rng: Rng) -> Drive:
+def slipped(drive: RecordedDrive, rng: Rng) -> RecordedDrive:
     """Add half a metre of slip to both wheels within half a second."""
     i = draw_begin(drive, rng)
     during = drive.after(i) & ~drive.after(i + drive.rows(0.5))
     return with_wheels(drive, lambda d: d + (during / max(during.sum(), 1) * SLIP)[:, None])
 
 
-def swapped(drive: Drive, rng: Rng) -> Drive:
+def swapped(drive: RecordedDrive, rng: Rng) -> RecordedDrive:
     """Exchange the wheels."""
     del rng
     return with_wheels(drive, lambda distances: distances[:, ::-1])
@@ -239,7 +239,7 @@ def swapped(drive: Drive, rng: Rng) -> Drive:
 # ------------------------------------------------------------------ time and position
 
 
-def stuck(drive: Drive, rng: Rng) -> Drive:
+def stuck(drive: RecordedDrive, rng: Rng) -> RecordedDrive:
     """Drive against a wall: the robot is stationary for a while, and its wheels turn at 0.3 m/s."""
     i, more_scans = draw_begin(drive, rng), drive.rows(FROZEN)
     n, m, j = len(drive.scans), len(drive.odometry), int(np.sum(~drive.after(i)))
@@ -267,7 +267,7 @@ def _spread_inserted(columns: Columns, rows: slice, order: int, seconds: float) 
     return replace(moved, order=orders)
 
 
-def kidnapped(drive: Drive, rng: Rng) -> Drive:
+def kidnapped(drive: RecordedDrive, rng: Rng) -> RecordedDrive:
     """Carry the robot along a part of its path, at least 2 m, without motion of odometry."""
     i, n = draw_begin(drive, rng), len(drive.scans)
     far = np.hypot(*(drive.truth[:, :2] - drive.truth[i, :2]).T) > 2.0
@@ -290,7 +290,7 @@ def kidnapped(drive: Drive, rng: Rng) -> Drive:
 def stamped(change: Callable[[Array, float], Array]) -> Fault:
     """Change all stamps from some time on."""
 
-    def fault(drive: Drive, rng: Rng) -> Drive:
+    def fault(drive: RecordedDrive, rng: Rng) -> RecordedDrive:
         i = draw_begin(drive, rng)
         first = float(drive.scans.stamps[i])
 

@@ -16,7 +16,7 @@ from impslam.health import TRACKING, Health
 from impslam.map import Keyframe, Map, PathRows, Revision, Track
 from impslam.observers.base import Observer, Outcome
 from impslam.run import map_log
-from impslam.studies.drives import Drive, DriveSource
+from impslam.studies.drives import DriveSource, RecordedDrive
 from impslam.sweeps.rows import Row
 from impslam.types import Array, Ints, Mask
 
@@ -101,7 +101,7 @@ class MappedDrive(NamedTuple):
     seconds: float
 
 
-def map_drive(drive: Drive) -> MappedDrive:
+def map_drive(drive: RecordedDrive) -> MappedDrive:
     """Map a drive as `imp run` does.
 
     Raises
@@ -124,21 +124,21 @@ def map_drive(drive: Drive) -> MappedDrive:
     return MappedDrive(rows, live.poses, live.covariances, settled, outcome.health, notes, seconds)
 
 
-def with_truth(drive: Drive, clean: MappedDrive) -> Drive:
+def with_truth(drive: RecordedDrive, clean: MappedDrive) -> RecordedDrive:
     """Return a drive without truth, with the clean run's settled path as its truth."""
     truth = drive.truth.copy()
     truth[clean.rows] = clean.settled
     return drive._replace(truth=truth)
 
 
-def errors(run: MappedDrive, drive: Drive, *, exact: bool) -> tuple[Array, Array]:
+def errors(run: MappedDrive, drive: RecordedDrive, *, exact: bool) -> tuple[Array, Array]:
     """Return the position errors (k,) m of the poses, and their normalised errors squared (k,)."""
     error = pose_errors(run.poses, drive.truth[run.rows])
     covariances = run.covariances + (1e-12 * np.eye(3) if exact else REFERENCE_COVARIANCE)
     return np.hypot(error[:, 0], error[:, 1]), nees(error, covariances)
 
 
-def score(drive: Drive, limit: float, usual: frozenset[str], *, exact: bool) -> Row:
+def score(drive: RecordedDrive, limit: float, usual: frozenset[str], *, exact: bool) -> Row:
     """Map a faulty drive and score it.
 
     `limit` is the error in m beyond which a pose is wrong, `usual` are the notes of the clean run, and
@@ -186,7 +186,7 @@ def _worst(error: Array) -> float:
     return float(np.nanmax(placed)) if np.isfinite(placed).any() else float("nan")
 
 
-def limit_of(clean: MappedDrive, drive: Drive) -> float:
+def limit_of(clean: MappedDrive, drive: RecordedDrive) -> float:
     """Return the error in m beyond which a pose is wrong, from the clean run of the drive."""
     worst = float(errors(clean, drive, exact=True)[0].max())
     return min(MAX_LIMIT, max(LIMIT_FACTOR * worst, MIN_LIMIT))

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from impslam.studies.drives import Drive, recorded, simulated
+from impslam.studies.drives import RecordedDrive, recorded, simulated
 from impslam.studies.fault_kinds import FAULTS
 from impslam.studies.fault_scores import (
     MAX_SILENT,
@@ -78,7 +78,7 @@ def campaign(task: _Task) -> list[Row]:
     return rows
 
 
-def _drive(task: _Task) -> Drive:
+def _drive(task: _Task) -> RecordedDrive:
     if task.log is None:
         return simulated(task.name, task.seed)
     return recorded(task.log, task.preset)

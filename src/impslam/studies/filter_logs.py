@@ -54,7 +54,7 @@ class RecordedData(NamedTuple):
 LOGS = {name: RecordedData(**given) for name, given in load_text("filter_table")["logs"].items()}
 
 
-class Drive(NamedTuple):
+class FilterTask(NamedTuple):
     """A robot's log to map with a filter."""
 
     data: str
@@ -91,7 +91,7 @@ class LivePath(EndOfRun):
 def log_rows(filters: Mapping[str, Sequence[str]], job: Job) -> list[Row]:
     """Return a row for each filter on each robot of the logs in the folder of `job.data`."""
     drives = [
-        Drive(data, name, job.data / log.path, (*log.settings, *given, *log.noise), robot)
+        FilterTask(data, name, job.data / log.path, (*log.settings, *given, *log.noise), robot)
         for data, log in LOGS.items()
         if job.data and (job.data / log.path).exists()
         for (name, given), robot in product({**filters, **log.filters}.items(), log.robots)
@@ -99,12 +99,12 @@ def log_rows(filters: Mapping[str, Sequence[str]], job: Job) -> list[Row]:
     return job.map(_row, drives, "logs")
 
 
-def _row(drive: Drive) -> Row:
+def _row(drive: FilterTask) -> Row:
     given = {"world": drive.data, "variant": drive.filter, "seed": drive.robot}
     return attempt(given, partial(_measure_in_process, drive))
 
 
-def _measure_in_process(drive: Drive) -> Row:
+def _measure_in_process(drive: FilterTask) -> Row:
     """Measure in a new process, so that its memory does not include previous runs."""
     row = run_in_process(measure, drive)
     if isinstance(row, ProcessDied):
@@ -112,7 +112,7 @@ def _measure_in_process(drive: Drive) -> Row:
     return row
 
 
-def measure(drive: Drive) -> Row:
+def measure(drive: FilterTask) -> Row:
     """Map a log; return the errors of the live poses, wrong matches, time and memory."""
     robot = [f"source.robot={drive.robot}"] if drive.robot else []
     config, source = open_log(drive.log, None, [*drive.settings, *robot])

@@ -24,7 +24,7 @@ from impslam.studies.consistency_arena import SETTLED
 from impslam.studies.filter_consistency import BATCH, CHECK_EVERY
 from impslam.studies.filter_logs import log_rows
 from impslam.studies.report import Picture, ResultTable, Section, load_text, make_table
-from impslam.studies.sweep import Run, Variant, sweep
+from impslam.studies.sweep import StudyRun, Variant, sweep
 from impslam.sweeps.job import Job
 from impslam.sweeps.rows import Row, attempt, by_variant, failures
 from impslam.types import Array, Increment, Observation
@@ -186,7 +186,7 @@ def _follow(
         yield k, revision.poses[-1], revision.covariances[-1]
 
 
-def world_row(run: Run) -> Row:
+def world_row(run: StudyRun) -> Row:
     """Return the same for a run in a world, with counts of missing and false landmarks."""
     from impslam.evaluation.landmarks import score_landmarks  # noqa: PLC0415
 

@@ -17,7 +17,7 @@ from matplotlib.patches import Circle, Ellipse
 from impslam.evaluation.colours import INK, ODOMETRY, PATH, POINT, SIGMAS, TRUTH, WALL
 from impslam.evaluation.plots import TIGHT, as_png, new_figure, style
 from impslam.simulation.scene import Scene
-from impslam.studies.sweep import Run
+from impslam.studies.sweep import StudyRun
 from impslam.types import Array, Landmark
 
 ELLIPSE_SCALE = 10.0
@@ -26,7 +26,7 @@ GROUND, WALKERS, FALSE = "#bec5cd", "#0e9aa7", "#111827"
 
 
 @dataclass(frozen=True, slots=True)
-class Layout:
+class PlotLayout:
     """Layout of a map plot.
 
     Attributes
@@ -47,12 +47,14 @@ class Layout:
     dpi: int
 
 
-ARENA = Layout((-2.13, 0.76, -0.76, 6.55), (3.1, 7.7), False, 7.0, True, 130)
-CORRIDOR = Layout((-9.0, 57.0, -10.0, 21.0), (9.6, 4.5), True, 3.2, False, 110)
+ARENA = PlotLayout((-2.13, 0.76, -0.76, 6.55), (3.1, 7.7), False, 7.0, True, 130)
+CORRIDOR = PlotLayout((-9.0, 57.0, -10.0, 21.0), (9.6, 4.5), True, 3.2, False, 110)
 
 
 def draw_maps(
-    runs: Mapping[str, Run], layout: Layout, false: Mapping[str, Collection[int]] | None = None
+    runs: Mapping[str, StudyRun],
+    layout: PlotLayout,
+    false: Mapping[str, Collection[int]] | None = None,
 ) -> bytes:
     """Return a PNG with a panel for each run, by its title.
 
@@ -76,7 +78,7 @@ def draw_maps(
     return as_png(figure, **TIGHT)
 
 
-def _draw(axes: Any, run: Run, layout: Layout, false: Collection[int]) -> None:
+def _draw(axes: Any, run: StudyRun, layout: PlotLayout, false: Collection[int]) -> None:
     left, right, bottom, top = layout.limits
     axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
     scene = Scene(run.world)

@@ -24,7 +24,7 @@ SPEED, TURN, LOAD = 0.3, 0.15, 0.2  # m/s, m/s, 1
 SETTLED = 0.1  # 1, of the step
 
 
-class Case(NamedTuple):
+class SpeedCase(NamedTuple):
     """Commanded speeds of the wheels, and the disturbance at `EVENT`."""
 
     name: str
@@ -34,10 +34,10 @@ class Case(NamedTuple):
 
 
 CASES = (
-    Case("step", (SPEED, SPEED)),
-    Case("turn", (SPEED - TURN, SPEED + TURN)),
-    Case("load", (SPEED, SPEED), load=LOAD),
-    Case("stall", (SPEED, SPEED), stalls=True),
+    SpeedCase("step", (SPEED, SPEED)),
+    SpeedCase("turn", (SPEED - TURN, SPEED + TURN)),
+    SpeedCase("load", (SPEED, SPEED), load=LOAD),
+    SpeedCase("stall", (SPEED, SPEED), stalls=True),
 )
 KINDS = {"none": INK, "without anti-windup": ODOMETRY, "control": PATH}
 
@@ -67,7 +67,7 @@ def _settings() -> dict[str, str]:
     return {name: f"{value:.3g}" for name, value in values.items()}
 
 
-def _speeds(combination: tuple[Case, str]) -> Array:
+def _speeds(combination: tuple[SpeedCase, str]) -> Array:
     """Return the speeds (n, 2) m/s of the driven wheels, every ms."""
     case, kind = combination
     body, rng = Body(load_world("room"), seed=1), np.random.default_rng(1)
@@ -91,14 +91,14 @@ def _speeds(combination: tuple[Case, str]) -> Array:
     return speeds
 
 
-def _disturb(body: Body, case: Case, time: float) -> None:
+def _disturb(body: Body, case: SpeedCase, time: float) -> None:
     """Load or block the wheels."""
     body.load = case.load * (time >= EVENT)
     for side in ("left", "right"):
         body.stall(side, case.stalls and EVENT <= time < RELEASED)
 
 
-def _figures(case: Case, speeds: Array) -> dict[str, float]:
+def _figures(case: SpeedCase, speeds: Array) -> dict[str, float]:
     """Return rise time, overshoot, settling time and final error of the right wheels, in s and m/s."""
     y, wanted = speeds[:, 1], case.commanded[1]
     begin, event = round(BEGIN / STEP), round(EVENT / STEP)
@@ -115,7 +115,7 @@ def _figures(case: Case, speeds: Array) -> dict[str, float]:
     }
 
 
-def _picture(text: Mapping[str, Any], speeds: Mapping[tuple[Case, str], Array]) -> bytes:
+def _picture(text: Mapping[str, Any], speeds: Mapping[tuple[SpeedCase, str], Array]) -> bytes:
     """Draw a panel for each case."""
     figure = new_figure(9.0, 5.6)
     panels = figure.subplots(2, 2, sharex=True, sharey=True)

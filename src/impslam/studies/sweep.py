@@ -22,7 +22,7 @@ from impslam.config import Config, load
 from impslam.evaluation.consistency import chi2_bounds, nees, pose_errors
 from impslam.map import Keyframe, PathRows, Revision
 from impslam.observers.base import Observer
-from impslam.run import Run as SlamRun
+from impslam.run import Run
 from impslam.simulation.robot import SimulatedRobot
 from impslam.simulation.simulate import simulate
 from impslam.simulation.world import World, load_world
@@ -56,7 +56,7 @@ class Promotion(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class StudyRun:
     """One drive through a world, mapped by one variant.
 
     Attributes
@@ -125,25 +125,25 @@ class _MatchRecorder(Observer):
         ]
 
 
-def map_run(messages: Sequence[Message], world: World, variant: Variant, seed: int) -> Run:
+def map_run(messages: Sequence[Message], world: World, variant: Variant, seed: int) -> StudyRun:
     """Map a recording."""
     seen = _MatchRecorder()
-    known = SlamRun(variant.config(world, seed), [seen]).play(messages)
+    known = Run(variant.config(world, seed), [seen]).play(messages)
     truth = {m.stamp: m.pose for m in messages if isinstance(m, TruePose)}
     true = np.array([truth[stamp] for stamp in known.stamps.tolist()])
     marks = known.landmarks
-    return Run(
+    return StudyRun(
         world, variant, seed, messages, true, known.rows(), seen.matches, marks, seen.promotions
     )
 
 
-def simulate_and_map(world: World, variants: Sequence[Variant], seed: int) -> dict[str, Run]:
+def simulate_and_map(world: World, variants: Sequence[Variant], seed: int) -> dict[str, StudyRun]:
     """Simulate one seed and map it with several variants of the same robot; return runs by variant name."""
     messages = list(simulate(world, variants[0].robot, seed))
     return {variant.name: map_run(messages, world, variant, seed) for variant in variants}
 
 
-def path_metrics(run: Run) -> Row:
+def path_metrics(run: StudyRun) -> Row:
     """Return the errors of a run's path, in m, and its NEES.
 
     `end` is the distance of the last pose from the truth, `ate` the root mean square of all;
@@ -162,7 +162,7 @@ def path_metrics(run: Run) -> Row:
     }
 
 
-def no_metrics(run: Run) -> Row:
+def no_metrics(run: StudyRun) -> Row:
     """Return no metrics beyond `path_metrics`."""
     del run
     return {}
@@ -175,14 +175,14 @@ class _Task:
     world: World
     seed: int
     variants: tuple[Variant, ...]
-    measure: Callable[[Run], Row]
+    measure: Callable[[StudyRun], Row]
 
 
 def sweep(
     variants: Sequence[Variant],
     seeds: Iterable[int],
     worlds: Iterable[str | World] = ("arena",),
-    measure: Callable[[Run], Row] = no_metrics,
+    measure: Callable[[StudyRun], Row] = no_metrics,
     job: Job | None = None,
     stage: str = "simulate and map",
 ) -> list[Row]:

@@ -16,7 +16,13 @@ from impslam.geometry.algebra import between
 from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.kernels import kernel
 from impslam.surfaces.features import Features
-from impslam.surfaces.surface_map import Alignment, Evidence, SurfaceMap, align, normal_equations
+from impslam.surfaces.surface_map import (
+    Alignment,
+    AlignmentEvidence,
+    SurfaceMap,
+    align,
+    normal_equations,
+)
 from impslam.types import Array
 
 MAX_VELOCITY_CHANGE = (0.1, 0.2)
@@ -69,7 +75,9 @@ def chi2_of(pose: Array, predicted: Prediction) -> float:
 
 
 @kernel
-def cost(pose: Array, predicted: Prediction, match: Alignment, evidence: Evidence) -> float:
+def cost(
+    pose: Array, predicted: Prediction, match: Alignment, evidence: AlignmentEvidence
+) -> float:
     """Return the negative log probability of a pose, up to a constant.
 
     The part of the points is the Geman-McClure cost that alignment minimises: the squared scale for each
@@ -92,7 +100,7 @@ def align_from_predictions(
     predicted: Prediction,
     match: Alignment,
     pose: Array,
-    evidence: Evidence,
+    evidence: AlignmentEvidence,
 ) -> float:
     """Align also from the last pose and from that at constant velocity; keep the pose of lowest cost.
 
@@ -118,7 +126,7 @@ def search(
     predicted: Prediction,
     match: Alignment,
     pose: Array,
-    evidence: Evidence,
+    evidence: AlignmentEvidence,
 ) -> float:
     """Align from poses around all predictions, and keep a clear best; see `align_from_predictions`.
 
@@ -157,7 +165,7 @@ def _finish(
     best: Array,
     match: Alignment,
     pose: Array,
-    evidence: Evidence,
+    evidence: AlignmentEvidence,
 ) -> float:
     """Set pose and evidence to the best pose; return the inlier share."""
     pose[:] = best

@@ -76,7 +76,7 @@ class MatchFaults(NamedTuple):
     newest: Array
 
 
-class Fit(NamedTuple):
+class MatchQuality(NamedTuple):
     """How a scan fits the map.
 
     Attributes
@@ -105,7 +105,7 @@ def initial_faults() -> MatchFaults:
 
 
 @kernel
-def check_fit(faults: MatchFaults, fit: Fit, usual: float, duration: float) -> int:
+def check_fit(faults: MatchFaults, fit: MatchQuality, usual: float, duration: float) -> int:
     """Return `NONE` if a scan fits the map, else `UNEXPLAINED` or `ELSEWHERE`.
 
     `usual` is the mean share so far, `duration` s since the last scan.

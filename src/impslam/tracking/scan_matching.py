@@ -21,7 +21,7 @@ from impslam.geometry.kernels import kernel
 from impslam.health import ELSEWHERE, NONE, UNEXPLAINED
 from impslam.noise import UNKNOWN
 from impslam.surfaces.features import Features, find_features, leave_out_grazing
-from impslam.surfaces.surface_map import Alignment, Evidence, align
+from impslam.surfaces.surface_map import Alignment, AlignmentEvidence, align
 from impslam.tracking.base import Gate, Steps, add_travel, reaches_limit
 from impslam.tracking.hypotheses import (
     Prediction,
@@ -33,8 +33,8 @@ from impslam.tracking.hypotheses import (
 from impslam.tracking.learned_odometry import LearnedOdometry, correct, learn, variances
 from impslam.tracking.match_faults import (
     MIN_FIT,
-    Fit,
     MatchFaults,
+    MatchQuality,
     check_fit,
     check_motion,
     current_fault,
@@ -121,7 +121,7 @@ class State(NamedTuple):
     prior: Array
     unlocated: Array
     averages: Array
-    evidence: Evidence
+    evidence: AlignmentEvidence
     faults: MatchFaults
 
 
@@ -138,7 +138,7 @@ class LidarState(NamedTuple):
     added: Array
 
 
-class Beams(NamedTuple):
+class BeamColumns(NamedTuple):
     """The columns of `Scans` that matching uses; `spacing` rad is the angle between neighbours."""
 
     points: Array
@@ -151,7 +151,7 @@ class Beams(NamedTuple):
 @kernel
 def follow(
     motions: Motions,
-    beams: Beams,
+    beams: BeamColumns,
     state: State,
     lidar: LidarState,
     gate: Gate,
@@ -226,7 +226,7 @@ def _predict(motions: Motions, k: int, state: State, d_pose: Array) -> bool:
 
 @kernel
 def _find_features(
-    beams: Beams, k: int, no_odometry: bool, settings: Settings, out: Features
+    beams: BeamColumns, k: int, no_odometry: bool, settings: Settings, out: Features
 ) -> int:
     """Fill `out` with the features of sweep k to match; return their number."""
     count = find_features(
@@ -257,7 +257,12 @@ def _due(ranges: Array, valid: Mask, state: State, lidar: LidarState) -> bool:
 
 @kernel
 def _add_to_submaps(
-    features: Features, k: int, beams: Beams, state: State, lidar: LidarState, settings: Settings
+    features: Features,
+    k: int,
+    beams: BeamColumns,
+    state: State,
+    lidar: LidarState,
+    settings: Settings,
 ) -> None:
     """Store the ranges of sweep k, and add it to the submaps unless it is near the one added last."""
     for i in range(len(lidar.ranges)):
@@ -283,7 +288,7 @@ def _match(
         _remove_spurious(H)
     off = np.empty(3)
     between(guess, state.pose, off)
-    fit = Fit(state.evidence.sums[0], share, off)
+    fit = MatchQuality(state.evidence.sums[0], share, off)
     out.reasons[k] = check_fit(state.faults, fit, usual, state.travelled[2])
     if out.reasons[k] != NONE:
         out.amounts[k] = share
@@ -317,7 +322,7 @@ def _match(
 
 
 @kernel
-def _learn(state: State, fit: Fit, located: bool) -> None:
+def _learn(state: State, fit: MatchQuality, located: bool) -> None:
     """Learn the bias and noise of odometry from a match."""
     plausible = fit.share > 0.6 and abs(fit.off[2]) < 4.0 * math.sqrt(state.prior[1])
     plausible = plausible and abs(fit.off[0]) < 4.0 * math.sqrt(state.prior[0])

@@ -19,7 +19,7 @@ from impslam.tracking.match_faults import initial_faults
 from impslam.tracking.scan_matching import (
     USUAL_RMS,
     USUAL_SHARE,
-    Beams,
+    BeamColumns,
     LidarState,
     Settings,
     State,
@@ -121,12 +121,14 @@ class ScanToMap(Tracker):
         return out
 
 
-def _beams(scans: Scans | None, m: int) -> Beams:
+def _beams(scans: Scans | None, m: int) -> BeamColumns:
     """Return the beams of m sweeps; no beams unless the sensor is a lidar."""
     if scans is None:
         none: Array = np.zeros((m, 0))
-        return Beams(np.zeros((m, 0, 2)), none.astype(np.bool_), none, np.zeros((m, 0, 2)), 0.0)
-    return Beams(
+        return BeamColumns(
+            np.zeros((m, 0, 2)), none.astype(np.bool_), none, np.zeros((m, 0, 2)), 0.0
+        )
+    return BeamColumns(
         plain(scans.points),
         np.ascontiguousarray(scans.valid),
         plain(scans.ranges),

@@ -29,7 +29,7 @@ from impslam.observers.live_view import GridPicture, Snapshot
 from impslam.platform.console import page
 from impslam.platform.console.model import Model
 from impslam.platform.console.session import Session
-from impslam.platform.devices.base import Health, now
+from impslam.platform.devices.base import DeviceHealth, now
 from impslam.platform.station.helm import Helm
 from impslam.platform.station.map_store import StoredMap
 from impslam.platform.station.mapper_status import MapperStatus
@@ -295,17 +295,19 @@ class FakeStation:
         threading.Thread(target=self._live, daemon=True).start()
 
     def health(self) -> StationHealth:
-        autopilot = Health(
+        autopilot = DeviceHealth(
             "ok", "IMP autopilot, protocol 1, firmware 1.4",
             {"WheelAngles": 100.0, "Imu": 100.0, "EncoderVoltages": 100.0, "Climate": 1.0},
             {"frames": 91_234, "lost": 2, "corrupt": 1}, now(),
         )  # fmt: skip
         if self.lost:
-            autopilot = Health("lost", self.lost, {}, {"lost connection": 1}, now())
-        lidar = Health("ok", "URG-04LX UTM-30, serial H0508486", {"LaserScan": 10.0}, {}, now())
-        camera = Health("silent", "video0, 640 x 480", {"Image": 0.0}, {}, now() - 4)
+            autopilot = DeviceHealth("lost", self.lost, {}, {"lost connection": 1}, now())
+        lidar = DeviceHealth(
+            "ok", "URG-04LX UTM-30, serial H0508486", {"LaserScan": 10.0}, {}, now()
+        )
+        camera = DeviceHealth("silent", "video0, 640 x 480", {"Image": 0.0}, {}, now() - 4)
         if self.picture is not None:
-            camera = Health("ok", "video0, 640 x 480", {"Image": 5.0}, {}, now())
+            camera = DeviceHealth("ok", "video0, 640 x 480", {"Image": 5.0}, {}, now())
         devices = {"autopilot": autopilot, "lidar": lidar, "camera": camera}
         climate = Climate(now(), 23.14, 0.448)
         return StationHealth(devices, self.recorder.status(), self.mapper.status(), climate)

@@ -11,7 +11,7 @@ from tests.platform.console.browsing import until, visit
 from impslam.platform.console.fault_panel import FAULTS
 from impslam.platform.console.health_panel import climate_row, device_row, event_row, page_row
 from impslam.platform.console.widgets import duration, size
-from impslam.platform.devices.base import Health
+from impslam.platform.devices.base import DeviceHealth
 from impslam.platform.virtual.faults import parse_fault
 from impslam.types import Climate, Event
 
@@ -25,7 +25,7 @@ def test_sizes_and_durations_are_readable():
 
 def test_texts_of_devices_are_escaped():
     evil = "<img src=x onerror=alert(1)>"
-    health = Health("lost", evil, {evil: 1.0}, {"lost" + evil: 1}, 0.0)
+    health = DeviceHealth("lost", evil, {evil: 1.0}, {"lost" + evil: 1}, 0.0)
     for made in (device_row(evil, health), event_row(Event(0.0, evil, evil, evil))):
         assert "<img" not in made
         assert "&lt;img" in made
@@ -40,14 +40,16 @@ def test_the_climate_is_shown_and_its_age_checked():
 
 
 def test_a_state_has_text_icon_and_colour_and_only_problems_are_counted():
-    row = device_row("lidar", Health("silent", "URG", {"LaserScan": 9.96}, {"LaserScan": 812}, 0.0))
+    row = device_row(
+        "lidar", DeviceHealth("silent", "URG", {"LaserScan": 9.96}, {"LaserScan": 812}, 0.0)
+    )
     assert 'data-state="silent"' in row
     assert "hourglass_empty" in row
     assert 'class="state warning"' in row
     assert "laser scan 10 Hz" in row
     assert "812" not in row
     counts = {"corrupt": 3, "lost": 0, "frames": 99}
-    troubled = device_row("autopilot", Health("ok", "", {}, counts, 0.0))
+    troubled = device_row("autopilot", DeviceHealth("ok", "", {}, counts, 0.0))
     assert "3 corrupt" in troubled
     assert "99" not in troubled
     assert "0 lost" not in troubled

@@ -18,7 +18,7 @@ from tests.platform.devices.autopilot_bench import RADIUS, TICK, Bench, Vehicle
 
 from impslam.component import components
 from impslam.platform.devices.autopilot import Autopilot
-from impslam.platform.devices.autopilot_messages import FROM_AUTOPILOT, Kind
+from impslam.platform.devices.autopilot_messages import FROM_AUTOPILOT, FrameType
 from impslam.platform.devices.framing import Decoder, Encoder
 from impslam.platform.virtual.autopilot import AutopilotEmulator
 from impslam.types import (
@@ -186,7 +186,7 @@ def test_an_old_answer_does_not_confirm_a_new_stop(bench):
     link, stops = bench.driver._link, []
 
     def without_second_stop(data):
-        stops.extend(Decoder({Kind.STOP}, lambda *_: None).feed(data))
+        stops.extend(Decoder({FrameType.STOP}, lambda *_: None).feed(data))
         return b"" if len(stops) == 2 else data
 
     def stop_release_stop():
@@ -199,7 +199,7 @@ def test_an_old_answer_does_not_confirm_a_new_stop(bench):
     bench.later(1.0, stop_release_stop)
     bench.later(1.04, lambda: pending.append(link._pending))
     bench.run(2.0)
-    assert pending == [Kind.STOP]
+    assert pending == [FrameType.STOP]
     assert len(stops) == 3
     assert link._pending is None
     assert bench.events[-1] == "emergency stop holds"

@@ -12,7 +12,13 @@ import pytest
 
 from impslam.platform.devices import autopilot_link
 from impslam.platform.devices.autopilot_link import CommandLink
-from impslam.platform.devices.autopilot_messages import COMMANDS, Ack, Drive, Kind, Result
+from impslam.platform.devices.autopilot_messages import (
+    COMMANDS,
+    Ack,
+    DriveCommand,
+    FrameType,
+    Result,
+)
 from impslam.platform.devices.base import DeviceError
 from impslam.platform.devices.framing import Decoder
 
@@ -88,7 +94,7 @@ def test_commands_of_many_threads_go_out_whole_and_in_order(pair, link, counts):
     firmware.read()
     assert firmware.counts == {"frames": 800}
     assert counts["commands"] == 800
-    drives = [Drive.parse(frame.payload) for frame in firmware.frames]
+    drives = [DriveCommand.parse(frame.payload) for frame in firmware.frames]
     for number in range(8):  # each thread's own in the order in which it gave them
         assert [d.right for d in drives if d.left == number] == list(range(100))
 
@@ -101,7 +107,7 @@ def test_no_drive_is_sent_from_a_stop_until_the_release(pair, link, counts):
     link.stop(False)
     link.drive(0.1, 0.1)
     kinds = [frame.type for frame in firmware.read()]
-    assert kinds == [Kind.DRIVE, Kind.STOP, Kind.RELEASE, Kind.DRIVE]
+    assert kinds == [FrameType.DRIVE, FrameType.STOP, FrameType.RELEASE, FrameType.DRIVE]
     assert counts["drive held back"] == 1
 
 
@@ -112,15 +118,15 @@ def test_a_stop_is_repeated_every_twentieth_of_a_second_until_its_own_answer(pai
     link.stop(True)
     for step in range(1, 31):
         link.update(start + 0.01 * step)
-    stops = [frame for frame in firmware.read() if frame.type == Kind.STOP]
+    stops = [frame for frame in firmware.read() if frame.type == FrameType.STOP]
     assert len(stops) in {6, 7}
-    refused = Ack(Kind.STOP, Result.UNKNOWN, stops[0].sequence, 0)
-    other = Ack(Kind.DRIVE, Result.DONE, stops[1].sequence, 0)
+    refused = Ack(FrameType.STOP, Result.UNKNOWN, stops[0].sequence, 0)
+    other = Ack(FrameType.DRIVE, Result.DONE, stops[1].sequence, 0)
     for ack in (refused, other):
         link.on_ack(ack, start)
     link.update(start + 0.5)
     assert firmware.read()
-    link.on_ack(Ack(Kind.STOP, Result.DONE, stops[2].sequence, 0), start + 0.5)
+    link.on_ack(Ack(FrameType.STOP, Result.DONE, stops[2].sequence, 0), start + 0.5)
     link.update(start + 0.9)
     assert not firmware.read()
 
@@ -131,12 +137,12 @@ def test_the_answer_to_an_earlier_stop_does_not_end_the_repeating(pair, link):
     link.update(start)
     for wanted in (True, False, True):
         link.stop(wanted)
-    first, _, second = [frame for frame in firmware.read() if frame.type != Kind.SET_TIME]
-    link.on_ack(Ack(Kind.STOP, Result.DONE, first.sequence, 0), start)
+    first, _, second = [frame for frame in firmware.read() if frame.type != FrameType.SET_TIME]
+    link.on_ack(Ack(FrameType.STOP, Result.DONE, first.sequence, 0), start)
     link.update(start + 0.5)
     (again,) = firmware.read()
-    assert again.type == Kind.STOP
-    link.on_ack(Ack(Kind.STOP, Result.DONE, second.sequence, 0), start + 0.5)
+    assert again.type == FrameType.STOP
+    link.on_ack(Ack(FrameType.STOP, Result.DONE, second.sequence, 0), start + 0.5)
     link.update(start + 0.9)
     assert not firmware.read()
 
@@ -149,7 +155,7 @@ def test_a_stop_requested_while_lost_is_sent_after_reconnection(pair, counts):
     assert counts == {"commands not sent": 1, "drive held back": 1}
     link.attach(port)
     link.update(autopilot_link.now())
-    assert [frame.type for frame in firmware.read()] == [Kind.STOP, Kind.SET_TIME]
+    assert [frame.type for frame in firmware.read()] == [FrameType.STOP, FrameType.SET_TIME]
 
 
 def test_a_full_port_does_not_block_for_long_and_is_reported(pair, link, counts):
@@ -171,7 +177,7 @@ def test_unanswered_commands_are_counted(pair, link, counts):
     link.drive(0.1, 0.1)
     link.attach(pair[0])
     assert counts["commands unanswered"] == 3
-    link.on_ack(Ack(Kind.DRIVE, Result.DONE, 0, 0), 0.0)
+    link.on_ack(Ack(FrameType.DRIVE, Result.DONE, 0, 0), 0.0)
     assert counts["answers to nothing"] == 1
 
 
@@ -193,7 +199,9 @@ def test_round_trips_of_answers_are_recorded(pair, link):
         link.drive(0.1, 0.1)
         (frame,) = firmware.read()
         delay = 0.5 if number == 7 else 0.01
-        link.on_ack(Ack(Kind.DRIVE, Result.DONE, frame.sequence, 0), autopilot_link.now() + delay)
+        link.on_ack(
+            Ack(FrameType.DRIVE, Result.DONE, frame.sequence, 0), autopilot_link.now() + delay
+        )
     median, high = link.latency()
     assert median == pytest.approx(0.01, abs=0.01)
     assert 0.01 < high < 0.5

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from impslam.errors import MessageError
 from impslam.platform.devices.autopilot_messages import (
     Ack,
-    Drive,
+    DriveCommand,
     Flag,
     Hello,
     Reset,
@@ -61,7 +61,7 @@ ALL = st.one_of(
     HELLOS,
     SENSORS,
     ACKS,
-    st.builds(Drive, SPEED, SPEED),
+    st.builds(DriveCommand, SPEED, SPEED),
     st.builds(SetTime, st.integers(0, 10**16 - 1)),
 )
 STILL = Sensors(
@@ -83,7 +83,7 @@ def read(kind, payload):
         return str(error)
 
 
-@pytest.mark.parametrize("kind", [Hello, Sensors, Ack, Drive, SetTime])
+@pytest.mark.parametrize("kind", [Hello, Sensors, Ack, DriveCommand, SetTime])
 @given(data=st.data())
 def test_any_bytes_are_parsed_or_refused_in_one_line(kind, data):
     size = kind.LAYOUT.size
@@ -138,8 +138,8 @@ def test_impossible_readings_are_refused(offset, layout, value, what):
         (Hello, HELLO.pack()[:6] + b"\x06" + HELLO.pack()[7:], "a reset reason"),
         (Ack, struct.pack("<BBHQ", 16, 4, 0, 0), "a result"),
         (Ack, struct.pack("<BBHQ", 16, 0, 0, 10**15), "a clock"),
-        (Drive, struct.pack("<hh", 10_001, 0), "a speed"),
-        (Drive, struct.pack("<hh", 0, -32_768), "a speed"),
+        (DriveCommand, struct.pack("<hh", 10_001, 0), "a speed"),
+        (DriveCommand, struct.pack("<hh", 0, -32_768), "a speed"),
         (SetTime, struct.pack("<Q", 10**16), "a time"),
     ],
 )

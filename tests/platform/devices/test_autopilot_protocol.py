@@ -12,10 +12,10 @@ import pytest
 
 from impslam.platform.devices.autopilot_messages import (
     Ack,
-    Drive,
+    DriveCommand,
     Flag,
+    FrameType,
     Hello,
-    Kind,
     Reset,
     Result,
     Sensors,
@@ -28,11 +28,11 @@ PAGE = (Path(__file__).parents[3] / "docs" / "autopilot-protocol.md").read_text(
 CODES = {"u8": "B", "u16": "H", "u32": "I", "u64": "Q", "i16": "h", "i32": "i", "i64": "q"}
 CODES |= {"f32": "f", "i16 x 3": "hhh"}
 MESSAGES = {
-    Kind.HELLO: Hello,
-    Kind.SENSORS: Sensors,
-    Kind.ACK: Ack,
-    Kind.DRIVE: Drive,
-    Kind.SET_TIME: SetTime,
+    FrameType.HELLO: Hello,
+    FrameType.SENSORS: Sensors,
+    FrameType.ACK: Ack,
+    FrameType.DRIVE: DriveCommand,
+    FrameType.SET_TIME: SetTime,
 }
 EXAMPLE = Sensors(
     clock=12_345_678,
@@ -74,7 +74,7 @@ def test_the_tables_are_the_layouts(kind):
 
 
 def test_the_codes_match_the_code():
-    assert f"STOP, 0x{Kind.STOP:02x}, and RELEASE, 0x{Kind.RELEASE:02x}" in PAGE
+    assert f"STOP, 0x{FrameType.STOP:02x}, and RELEASE, 0x{FrameType.RELEASE:02x}" in PAGE
     reasons = ", ".join(f"{r.value} {r.name.lower().replace('_', '-')}" for r in Reset)
     assert reasons.replace("4 pin", "4 reset pin") in PAGE
     flags = next(row for row in rows("### SENSORS") if row[2] == "flags")[3]
@@ -87,18 +87,21 @@ def test_the_codes_match_the_code():
 def test_the_budget_adds_up():
     total = 0.0
     for _, frame, size, rate, bits in rows("## The line"):
-        kind = Kind[frame]
+        kind = FrameType[frame]
         assert int(size) == MESSAGES[kind].LAYOUT.size + 9
         assert float(bits) == pytest.approx(10 * int(size) * float(rate), rel=1e-3)
-        total += float(bits) if kind in {Kind.SENSORS, Kind.HELLO, Kind.ACK} else 0.0
+        total += float(bits) if kind in {FrameType.SENSORS, FrameType.HELLO, FrameType.ACK} else 0.0
     assert f"{total / 1e3:.0f} kbit/s, {total / 460800:.0%}".replace("%", " %") in PAGE
 
 
 def test_the_examples_match_encoded_frames():
     examples = [bytes.fromhex(text) for text in re.findall(r"```hex\n(.*?)```", PAGE, re.DOTALL)]
     host = Encoder(1)
-    drive, stop = host.encode(Kind.DRIVE, Drive(300, -200).pack()), host.encode(Kind.STOP)
-    sensors = Encoder(7).encode(Kind.SENSORS, EXAMPLE.pack())
+    drive, stop = (
+        host.encode(FrameType.DRIVE, DriveCommand(300, -200).pack()),
+        host.encode(FrameType.STOP),
+    )
+    sensors = Encoder(7).encode(FrameType.SENSORS, EXAMPLE.pack())
     assert examples == [drive[1], stop[1], sensors[1]]
 
 
@@ -147,9 +150,9 @@ def test_c_decodes_the_frame_after_noise(firmware):
     body = ctypes.create_string_buffer(256)
     noise = rng.integers(0, 256, 300_000, np.uint8).tolist() + [7] * 1000
     assert sum(firmware.take(byte, body) > 0 for byte in noise) <= 1
-    wire = b"\0" + Encoder(3).encode(Kind.DRIVE, Drive(1, 2).pack())[1]
+    wire = b"\0" + Encoder(3).encode(FrameType.DRIVE, DriveCommand(1, 2).pack())[1]
     assert [firmware.take(byte, body) for byte in wire][-1] == 9
-    assert Drive.parse(body.raw[5:9]) == Drive(1, 2)
+    assert DriveCommand.parse(body.raw[5:9]) == DriveCommand(1, 2)
 
 
 def test_c_counts_as_the_emulator_does(firmware):

@@ -16,7 +16,7 @@ from impslam.platform.devices.scip_encoding import (
     with_checksum,
     without_checksum,
 )
-from impslam.platform.devices.scip_info import Parameters, Version, fields, to_line
+from impslam.platform.devices.scip_info import MeasurementParameters, Version, fields, to_line
 
 # As the protocol's text prints them; the checksums are Hokuyo's.
 PP = (
@@ -200,8 +200,8 @@ def test_error_codes_and_values_outside_the_limits_are_not_ranges():
 
 
 def test_the_protocols_examples_of_version_and_parameters():
-    known = Parameters.of(PP)
-    assert known == Parameters(
+    known = MeasurementParameters.of(PP)
+    assert known == MeasurementParameters(
         "URG-04LX(Hokuyo Automatic Co.,Ltd.)", 20, 5600, 1024, 44, 725, 384, 600
     )
     assert known.turn == pytest.approx(0.1)
@@ -246,7 +246,7 @@ def test_impossible_parameters_are_refused(key, value):
     changed = fields(PP) | {key: value}
     lines = tuple(to_line(k, v)[:-1] for k, v in changed.items() if v.isascii())
     with pytest.raises(DeviceError, match="is it a SCIP"):
-        Parameters.of(lines)
+        MeasurementParameters.of(lines)
 
 
 # --------------------------------------------------------------------------- statuses

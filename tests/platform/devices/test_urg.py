@@ -12,15 +12,15 @@ from tests.platform.devices.urg_bench import HOST, Bench, Room, sensor
 from impslam.platform.devices import scip_link, urg_clock
 from impslam.platform.devices.base import DeviceError
 from impslam.platform.devices.clock import DeviceClock
-from impslam.platform.devices.scip_info import Parameters
+from impslam.platform.devices.scip_info import MeasurementParameters
 from impslam.platform.devices.urg import Urg, is_rs232
-from impslam.platform.devices.urg_beams import Beams
+from impslam.platform.devices.urg_beams import UrgBeams
 from impslam.platform.devices.urg_clock import SweepTimes
 from impslam.platform.virtual import urg_memory
 from impslam.platform.virtual.urg import UrgEmulator
 from impslam.types import DeviceTime, Event, LaserScan
 
-URG = Parameters("URG-04LX", 20, 5600, 1024, 44, 725, 384, 600)
+URG = MeasurementParameters("URG-04LX", 20, 5600, 1024, 44, 725, 384, 600)
 STREAM = b"MD0044072501000\n"
 
 
@@ -35,7 +35,7 @@ def true_begins(bench, room):
 
 
 def test_the_beams_of_a_urg_04lx():
-    beams = Beams.of(URG, "MD", (44, 725), 1, 0)
+    beams = UrgBeams.of(URG, "MD", (44, 725), 1, 0)
     assert beams.request == STREAM
     assert len(beams.angles) == 682
     assert beams.angles[0] == pytest.approx(-2.0862, abs=5e-5)
@@ -47,7 +47,7 @@ def test_the_beams_of_a_urg_04lx():
 
 
 def test_clusters_have_the_angle_of_their_middle():
-    beams = Beams.of(URG, "MS", (380, 388), 4, 2)
+    beams = UrgBeams.of(URG, "MS", (380, 388), 4, 2)
     assert beams.request == b"MS0380038804200\n"
     steps = beams.angles / (2 * np.pi / 1024) + 384
     np.testing.assert_allclose(steps, [381.5, 385.5, 388.0])

@@ -11,10 +11,10 @@ from impslam.platform.devices.autopilot_messages import (
     COMMANDS,
     FROM_AUTOPILOT,
     Ack,
-    Drive,
+    DriveCommand,
     Flag,
+    FrameType,
     Hello,
-    Kind,
     Reset,
     Result,
     Sensors,
@@ -24,7 +24,7 @@ from impslam.platform.devices.framing import Decoder, Encoder
 from impslam.platform.virtual.autopilot import AutopilotEmulator
 
 STEP = 2 * math.pi / 4096
-PARSE = {Kind.HELLO: Hello.parse, Kind.SENSORS: Sensors.parse, Kind.ACK: Ack.parse}
+PARSE = {FrameType.HELLO: Hello.parse, FrameType.SENSORS: Sensors.parse, FrameType.ACK: Ack.parse}
 
 
 class Vehicle:
@@ -122,9 +122,9 @@ def test_a_late_call_sends_one_reading_and_skips_missed_ones(host):
 
 
 def test_commands_are_executed_and_answered(host):
-    sequence, ack = host.send(Kind.DRIVE, Drive(300, -200).pack())
+    sequence, ack = host.send(FrameType.DRIVE, DriveCommand(300, -200).pack())
     assert host.vehicle.commands[-1] == (0.3, -0.2)
-    assert ack == Ack(Kind.DRIVE, Result.DONE, sequence, ack.clock)
+    assert ack == Ack(FrameType.DRIVE, Result.DONE, sequence, ack.clock)
     host.pass_on(0.02)
     sensors = host.of(Sensors)[-1]
     assert (sensors.applied, sensors.applied_clock) == (sequence, ack.clock)
@@ -133,7 +133,7 @@ def test_commands_are_executed_and_answered(host):
 
 def test_it_stops_half_a_second_after_the_last_command(host):
     assert host.of(Sensors)[-1].flags == Flag.DEAD_MAN
-    host.send(Kind.DRIVE, Drive(300, 300).pack())
+    host.send(FrameType.DRIVE, DriveCommand(300, 300).pack())
     host.pass_on(0.498)
     assert host.vehicle.commands[-1] == (0.3, 0.3)
     host.pass_on(0.003)
@@ -143,24 +143,24 @@ def test_it_stops_half_a_second_after_the_last_command(host):
 
 
 def test_a_stop_lasts_until_the_release_and_then_it_is_stationary(host):
-    host.send(Kind.DRIVE, Drive(300, 300).pack())
-    assert host.send(Kind.STOP)[1].result is Result.DONE
+    host.send(FrameType.DRIVE, DriveCommand(300, 300).pack())
+    assert host.send(FrameType.STOP)[1].result is Result.DONE
     assert host.vehicle.commands[-1] == (0.0, 0.0)
-    assert host.send(Kind.DRIVE, Drive(300, 300).pack())[1].result is Result.STOPPED
+    assert host.send(FrameType.DRIVE, DriveCommand(300, 300).pack())[1].result is Result.STOPPED
     assert host.vehicle.commands[-1] == (0.0, 0.0)
     host.pass_on(1.0)
     assert host.of(Sensors)[-1].flags == Flag.STOPPED
-    host.send(Kind.RELEASE)
+    host.send(FrameType.RELEASE)
     host.pass_on(0.02)
     assert host.of(Sensors)[-1].flags == Flag.DEAD_MAN
     assert host.vehicle.commands[-1] == (0.0, 0.0)
-    host.send(Kind.DRIVE, Drive(100, 100).pack())
+    host.send(FrameType.DRIVE, DriveCommand(100, 100).pack())
     assert host.vehicle.commands[-1] == (0.1, 0.1)
 
 
 def test_a_release_without_a_stop_changes_nothing(host):
-    host.send(Kind.DRIVE, Drive(300, 300).pack())
-    host.send(Kind.RELEASE)
+    host.send(FrameType.DRIVE, DriveCommand(300, 300).pack())
+    host.send(FrameType.RELEASE)
     host.pass_on(0.02)
     assert host.of(Sensors)[-1].flags == Flag(0)
 
@@ -168,24 +168,24 @@ def test_a_release_without_a_stop_changes_nothing(host):
 def test_malformed_commands_are_refused_and_do_nothing(host):
     before = list(host.vehicle.commands)
     for kind, payload in (
-        (Kind.DRIVE, b""),
-        (Kind.DRIVE, Drive(30_000, 0).pack()),
-        (Kind.RELEASE, b"x"),
-        (Kind.SET_TIME, b"\0" * 7),
+        (FrameType.DRIVE, b""),
+        (FrameType.DRIVE, DriveCommand(30_000, 0).pack()),
+        (FrameType.RELEASE, b"x"),
+        (FrameType.SET_TIME, b"\0" * 7),
     ):
         assert host.send(kind, payload)[1].result is Result.MALFORMED
     assert host.vehicle.commands == before
 
 
 def test_a_stop_with_a_payload_stops_too(host):
-    host.send(Kind.DRIVE, Drive(300, 300).pack())
-    assert host.send(Kind.STOP, b"x")[1].result is Result.MALFORMED
+    host.send(FrameType.DRIVE, DriveCommand(300, 300).pack())
+    assert host.send(FrameType.STOP, b"x")[1].result is Result.MALFORMED
     assert host.vehicle.commands[-1] == (0.0, 0.0)
 
 
 def test_a_repeated_or_late_command_is_not_executed_again(host):
-    _, drive = host.encoder.encode(Kind.DRIVE, Drive(300, 300).pack())
-    _, stand = host.encoder.encode(Kind.DRIVE, Drive(0, 0).pack())
+    _, drive = host.encoder.encode(FrameType.DRIVE, DriveCommand(300, 300).pack())
+    _, stand = host.encoder.encode(FrameType.DRIVE, DriveCommand(0, 0).pack())
     commands = len(host.vehicle.commands)
     for wire in (drive, stand, stand, drive):
         host.emulator.receive(wire, host.time)
@@ -195,7 +195,7 @@ def test_a_repeated_or_late_command_is_not_executed_again(host):
 
 def test_its_time_is_set_and_reported_by_hello(host):
     hellos = len(host.of(Hello))
-    host.send(Kind.SET_TIME, SetTime(1_700_000_000_000_000).pack())
+    host.send(FrameType.SET_TIME, SetTime(1_700_000_000_000_000).pack())
     assert len(host.of(Hello)) == hellos + 1
     hello = host.of(Hello)[-1]
     assert hello.clock + hello.host_offset == pytest.approx(1_700_000_000_000_000, abs=1500)
@@ -221,10 +221,10 @@ def test_any_bytes_leave_it_running_and_never_move_it(chunks):
 def test_a_reboot_stops_it_and_resets_its_clock_and_counts(host):
     host.vehicle.angles = (3.0, 4.0)
     host.pass_on(0.3)
-    host.send(Kind.DRIVE, Drive(300, 300).pack())
+    host.send(FrameType.DRIVE, DriveCommand(300, 300).pack())
     host.emulator.reboot(host.time, Reset.WATCHDOG)
     assert host.vehicle.commands[-1] == (0.0, 0.0)
-    assert host.send(Kind.DRIVE, Drive(100, 100).pack())[0]  # while it boots: unheard
+    assert host.send(FrameType.DRIVE, DriveCommand(100, 100).pack())[0]  # while it boots: unheard
     assert host.vehicle.commands[-1] == (0.0, 0.0)
     before = len(host.got)
     host.pass_on(0.2)

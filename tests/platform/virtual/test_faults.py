@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from impslam.errors import ConfigError
 from impslam.platform.virtual.disturbance import KINDS, Disturbance
-from impslam.platform.virtual.faults import Noise, Stall, parse_fault
+from impslam.platform.virtual.faults import LineNoise, Stall, parse_fault
 
 DATA = bytes(range(256)) * 200
 
@@ -110,7 +110,7 @@ def test_the_same_seed_gives_the_same_noise():
 
 def test_faults_are_parsed_by_name():
     fault = parse_fault({"fault": "noise", "device": "lidar", "rate": 1e-4, "seconds": 1})
-    assert fault == Noise(device="lidar", rate=1e-4, seconds=1.0, kind="any")
+    assert fault == LineNoise(device="lidar", rate=1e-4, seconds=1.0, kind="any")
     assert parse_fault({"fault": "stall", "side": "both", "seconds": 2}) == Stall(
         side="both", seconds=2.0
     )

@@ -10,8 +10,8 @@ from impslam.platform.devices.port import open_port, read_some, write_all
 from impslam.platform.virtual.control import answer
 from impslam.platform.virtual.faults import (
     Delay,
+    LineNoise,
     Malfunction,
-    Noise,
     Reboot,
     Stall,
     Unplug,
@@ -22,7 +22,7 @@ from impslam.platform.virtual.pty_line import PtyLine
 from impslam.platform.virtual.tcp_line import TcpLine
 from impslam.platform.virtual.urg import UrgEmulator
 from impslam.simulation.body import Body
-from impslam.simulation.body_lidar import Sweeps
+from impslam.simulation.body_lidar import LidarSweeps
 from impslam.simulation.robot import SimulatedRobot
 from impslam.simulation.world import World
 
@@ -161,7 +161,7 @@ def test_faults_reach_the_line_or_the_device_that_they_are_for(imp):
         imp.fault(Delay(device="autopilot", seconds=0.1))
         step(imp, 0.1, 0.19)
         assert read_some(port, 0.01) == b""
-        imp.fault(Noise(device="autopilot", rate=1.0, seconds=0.1, kind="drop"))
+        imp.fault(LineNoise(device="autopilot", rate=1.0, seconds=0.1, kind="drop"))
         step(imp, 0.19, 0.28)
         hear(port, 9)
     counts = imp.status()["lines"]["autopilot"]
@@ -182,7 +182,7 @@ def test_faults_reach_the_line_or_the_device_that_they_are_for(imp):
 def test_only_a_lidar_that_tells_statuses_has_malfunctions(imp):
     with pytest.raises(ConfigError, match="only a URG"):
         imp.fault(Malfunction())
-    imp._emulators["lidar"] = urg = UrgEmulator(Sweeps(imp.body))
+    imp._emulators["lidar"] = urg = UrgEmulator(LidarSweeps(imp.body))
     urg.receive(b"BM\n", 0.0)
     assert urg.laser
     imp.fault(Malfunction(status=60))

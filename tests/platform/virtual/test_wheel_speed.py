@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from impslam.platform.devices.autopilot_messages import Drive, Kind
+from impslam.platform.devices.autopilot_messages import DriveCommand, FrameType
 from impslam.platform.devices.framing import Encoder
 from impslam.platform.virtual.autopilot import AutopilotEmulator
 from impslam.platform.virtual.wheel_speed import SpeedControl, SpeedController
@@ -24,10 +24,10 @@ def driven(speeds, happens=lambda body, time: None, seconds=2.0, control=None, s
         body.advance(k * 1e-3)
         happens(body, k * 1e-3)
         if stop is not None and k == stop:
-            autopilot.receive(host.encode(Kind.STOP, b"")[1], k * 1e-3)
+            autopilot.receive(host.encode(FrameType.STOP, b"")[1], k * 1e-3)
         elif k >= BEGIN and k % 50 == 0:
-            command = Drive(*(round(1000 * speed) for speed in speeds))
-            autopilot.receive(host.encode(Kind.DRIVE, command.pack())[1], k * 1e-3)
+            command = DriveCommand(*(round(1000 * speed) for speed in speeds))
+            autopilot.receive(host.encode(FrameType.DRIVE, command.pack())[1], k * 1e-3)
         autopilot.due(k * 1e-3)
         found.append(body.motors)
     return np.array(found)

@@ -24,7 +24,7 @@ MAX_PAUSE = 0.5  # s
 MAX_SOCKETS = 32  # open at a time, of all watchers
 
 
-class Turn:
+class RequestTurn:
     """The time in which one request is processed; ends with its first answer."""
 
     def __init__(self, lock: asyncio.Lock | None) -> None:
@@ -56,7 +56,7 @@ class Lane:
         self._lock = asyncio.Lock()
         self._waiting: Counter[str] = Counter()
 
-    async def turn(self, key: str) -> Turn | None:
+    async def turn(self, key: str) -> RequestTurn | None:
         """Wait for a turn; return None if too many wait, of `key` or in total, or for too long."""
         if self._waiting[key] >= MAX_PER_CLIENT or self._waiting.total() >= MAX_WAITING:
             return None
@@ -69,7 +69,7 @@ class Lane:
         finally:
             self._waiting[key] -= 1
             self._waiting += Counter()  # drops zeros, so that memory is bounded
-        return Turn(self._lock)
+        return RequestTurn(self._lock)
 
 
 class Admission:
@@ -78,12 +78,12 @@ class Admission:
     def __init__(self) -> None:
         self._strangers, self._watchers, self._files = Lane(), Lane(), Lane()
 
-    async def turn(self, request: IncomingRequest, session: Session | None) -> Turn | None:
+    async def turn(self, request: IncomingRequest, session: Session | None) -> RequestTurn | None:
         """Wait until a request may be processed; return None if it must be refused."""
         if session is None:
             return await self._strangers.turn(request.address)
         if session.may_drive:
-            return Turn(None)
+            return RequestTurn(None)
         lane = self._files if request.by_script else self._watchers
         return await lane.turn(f"{request.address} {session.id}")
 

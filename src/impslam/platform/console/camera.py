@@ -7,7 +7,7 @@ from nicegui.element import Element
 PERIOD = 0.2  # s between pictures, as of the camera
 
 
-class Camera(Element, component="camera.js"):
+class CameraView(Element, component="camera.js"):
     """Loads `/camera.jpg` when a beat announces a new picture, one at a time."""
 
     def __init__(self) -> None:

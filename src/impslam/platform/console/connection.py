@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from starlette.types import Message, Receive, Send
 
-from impslam.platform.console.messages import Inbox
+from impslam.platform.console.messages import MessageValidator
 from impslam.platform.console.request import IncomingRequest, Refusal
 from impslam.platform.console.session import Session
 from impslam.platform.console.throttle import Bucket
@@ -39,7 +39,7 @@ class SocketConnection:
     ) -> None:
         self._session, self._receive, self._send = session, receive, send
         self._record, self._clock = record, clock
-        self._inbox = Inbox(session)
+        self._inbox = MessageValidator(session)
         self._bucket = Bucket(MESSAGE_BURST, RATE if session.may_drive else WATCHER_RATE, clock)
         self._cut = asyncio.Event()
         self._flooded = False

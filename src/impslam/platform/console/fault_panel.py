@@ -11,20 +11,20 @@ from impslam.platform.console.model import Fault
 from impslam.platform.console.viewer import Viewer
 from impslam.platform.console.widgets import button, card, line, tagged
 from impslam.platform.virtual import faults
-from impslam.platform.virtual.faults import Delay, Malfunction, Noise, Reboot, Stall, Unplug
+from impslam.platform.virtual.faults import Delay, LineNoise, Malfunction, Reboot, Stall, Unplug
 
 SECONDS = 2.0  # s that a fault lasts: longer than the timeouts of devices
 FRAMES, SCANS = 0.01, 3e-4
 """1/byte: noise that corrupts every second frame (of 70 bytes), every second scan (of 2100)."""
 FAULTS: Mapping[str, Mapping[str, faults.Fault]] = {
     "autopilot": {
-        "Noise": Noise(device="autopilot", rate=FRAMES, seconds=SECONDS),
+        "LineNoise": LineNoise(device="autopilot", rate=FRAMES, seconds=SECONDS),
         "Unplug": Unplug(device="autopilot", seconds=SECONDS),
         "Hold back": Delay(device="autopilot", seconds=SECONDS),
         "Reboot": Reboot(device="autopilot"),
     },
     "lidar": {
-        "Noise": Noise(device="lidar", rate=SCANS, seconds=SECONDS),
+        "LineNoise": LineNoise(device="lidar", rate=SCANS, seconds=SECONDS),
         "Unplug": Unplug(device="lidar", seconds=SECONDS),
         "Hold back": Delay(device="lidar", seconds=SECONDS),
         "Reboot": Reboot(device="lidar"),

@@ -12,7 +12,7 @@ from nicegui import ui
 
 from impslam.platform.console.feed import Feed
 from impslam.platform.console.widgets import card, milliseconds, size, tagged
-from impslam.platform.devices.base import Health, now
+from impslam.platform.devices.base import DeviceHealth, now
 from impslam.platform.station.mapper_status import MapperStatus
 from impslam.platform.station.recorder import RecordingStatus
 from impslam.platform.station.station import StationHealth
@@ -48,7 +48,7 @@ class HealthPanel:
     def __init__(self, feed: Feed, health: StationHealth) -> None:
         self._feed = feed
         self._rows: dict[str, ui.html] = {}
-        with card("Health", "monitor_heart", "health"):
+        with card("DeviceHealth", "monitor_heart", "health"):
             for name in (*health.devices, "recorder", "mapper", "page", "climate"):
                 self._rows[name] = ui.html("", sanitize=False)
                 tagged(self._rows[name], f"health-{name}").classes("health")
@@ -83,7 +83,7 @@ class EventPanel:
             self._list.content = "".join(event_row(one) for one in reversed(events[-MAX_EVENTS:]))
 
 
-def device_row(name: str, health: Health) -> str:
+def device_row(name: str, health: DeviceHealth) -> str:
     """Return a device's state, rates, problems and detail as HTML."""
     rates = (
         f"{_words(kind)} {rate:.{_digits(rate)}f} Hz"

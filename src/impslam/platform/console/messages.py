@@ -85,7 +85,7 @@ def check_opening(request: IncomingRequest, session: Session) -> Refusal | None:
     )
 
 
-class Inbox:
+class MessageValidator:
     """Checks the messages of one socket, in order."""
 
     def __init__(self, session: Session) -> None:

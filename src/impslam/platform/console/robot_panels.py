@@ -5,7 +5,7 @@ from __future__ import annotations
 from nicegui import background_tasks, html
 from nicegui.element import Element
 
-from impslam.platform.console.camera import Camera
+from impslam.platform.console.camera import CameraView
 from impslam.platform.console.drive_panel import DrivePanel
 from impslam.platform.console.fault_panel import fault_panel
 from impslam.platform.console.feed import Feed
@@ -24,7 +24,7 @@ TABS = {
     "record": ("radio_button_checked", "Record"),
     "maps": ("map", "Maps"),
     "health": ("monitor_heart", "Health"),
-    "camera": ("photo_camera", "Camera"),
+    "camera": ("photo_camera", "CameraView"),
 }
 """Tab -> icon, title. If there is room, drive has a place of its own."""
 SELECT_TAB = (
@@ -58,8 +58,8 @@ class RobotPanels:
                 if feed.model.fault is not None and viewer.session.may_drive:
                     fault_panel(feed.model.fault, viewer)
                 self._events = EventPanel()
-            with _tab("camera"), card("Camera", "photo_camera", "camera"):
-                Camera()
+            with _tab("camera"), card("CameraView", "photo_camera", "camera"):
+                CameraView()
 
     def fast(self) -> None:
         """Update the drive panel."""

@@ -18,8 +18,8 @@ from impslam.platform.devices.autopilot_messages import (
     FROM_AUTOPILOT,
     Ack,
     Flag,
+    FrameType,
     Hello,
-    Kind,
     Sensors,
 )
 from impslam.platform.devices.autopilot_readings import Readings
@@ -184,9 +184,9 @@ class Autopilot(DriveDevice):
             self._restart(state.boot is not None)
             state.boot = frame.boot
         try:
-            if frame.type == Kind.SENSORS:
+            if frame.type == FrameType.SENSORS:
                 self._on_sensors(Sensors.parse(frame.payload), arrived)
-            elif frame.type == Kind.ACK:
+            elif frame.type == FrameType.ACK:
                 self._link.on_ack(Ack.parse(frame.payload), arrived)
             else:
                 self._on_hello(Hello.parse(frame.payload))

@@ -10,7 +10,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from impslam.platform.devices.autopilot_messages import Ack, Drive, Kind, Result, SetTime
+from impslam.platform.devices.autopilot_messages import (
+    Ack,
+    DriveCommand,
+    FrameType,
+    Result,
+    SetTime,
+)
 from impslam.platform.devices.base import DeviceError, now
 from impslam.platform.devices.framing import Count, Encoder
 from impslam.platform.devices.port import write_all
@@ -27,7 +33,7 @@ _MAX_TRIPS = 1000  # round trips kept, 50 s of driving: ten of them are above th
 class _Sent(NamedTuple):
     """A command that is not answered yet."""
 
-    kind: Kind
+    kind: FrameType
     moment: float
     request_number: int
 
@@ -53,7 +59,7 @@ class CommandLink:
         self._sent: dict[int, _Sent] = {}  # commands not answered yet, oldest first
         self._trips: deque[float] = deque(maxlen=_MAX_TRIPS)
         self._stop_wanted = False
-        self._pending: Kind | None = None  # STOP or RELEASE until it is answered
+        self._pending: FrameType | None = None  # STOP or RELEASE until it is answered
         self._request_number = 0  # of the latest stop or release
         self._repeat_at = self._set_time_at = 0.0
 
@@ -76,13 +82,13 @@ class CommandLink:
             if self._stop_wanted:
                 self._count("drive held back", 1)
                 return
-            self._send(Kind.DRIVE, Drive(round(1e3 * left), round(1e3 * right)).pack())
+            self._send(FrameType.DRIVE, DriveCommand(round(1e3 * left), round(1e3 * right)).pack())
 
     def stop(self, wanted: bool) -> None:
         """Send a stop or a release, repeated until answered; it replaces an earlier one."""
         with self._lock:
             self._stop_wanted = wanted
-            self._pending = Kind.STOP if wanted else Kind.RELEASE
+            self._pending = FrameType.STOP if wanted else FrameType.RELEASE
             self._request_number += 1
             self._send(self._pending)
             self._repeat_at = now() + REPEAT_INTERVAL
@@ -90,7 +96,7 @@ class CommandLink:
     @property
     def releasing(self) -> bool:
         """Whether a release has been sent and is not answered yet."""
-        return self._pending is Kind.RELEASE
+        return self._pending is FrameType.RELEASE
 
     def request_hello(self) -> None:
         """Set the autopilot's time as soon as possible, which it answers with HELLO."""
@@ -111,7 +117,7 @@ class CommandLink:
                 self._send(self._pending)
             if moment >= self._set_time_at:
                 self._set_time_at = moment + SET_TIME_INTERVAL
-                self._send(Kind.SET_TIME, SetTime(int(now() * 1e6)).pack())
+                self._send(FrameType.SET_TIME, SetTime(int(now() * 1e6)).pack())
             self._expire(moment)
             if self._failure is not None:
                 raise self._failure
@@ -120,7 +126,7 @@ class CommandLink:
         """Send a wanted stop again if the autopilot reports that it is not stopped."""
         with self._lock:
             if self._stop_wanted and not stopped and self._pending is None:
-                self._pending = Kind.STOP
+                self._pending = FrameType.STOP
                 self._count("stop demanded again", 1)
 
     def on_ack(self, ack: Ack, arrived: float) -> None:
@@ -147,7 +153,7 @@ class CommandLink:
         median, high = np.percentile(trips, [50.0, 99.0])
         return float(median), float(high)
 
-    def _send(self, kind: Kind, payload: bytes = b"") -> None:
+    def _send(self, kind: FrameType, payload: bytes = b"") -> None:
         if self._port is None or self._encoder is None:
             self._count("commands not sent", 1)
             return

@@ -22,7 +22,7 @@ _TEMPERATURES = range(-4000, 12501)  # 0.01 degC, the range of such sensors
 _HUMIDITIES = range(10_001)  # 0.01 %
 
 
-class Kind(IntEnum):
+class FrameType(IntEnum):
     """Types of frames."""
 
     HELLO = 0x01
@@ -34,8 +34,8 @@ class Kind(IntEnum):
     SET_TIME = 0x13
 
 
-FROM_AUTOPILOT = frozenset({Kind.HELLO, Kind.SENSORS, Kind.ACK})
-COMMANDS = frozenset({Kind.DRIVE, Kind.STOP, Kind.RELEASE, Kind.SET_TIME})
+FROM_AUTOPILOT = frozenset({FrameType.HELLO, FrameType.SENSORS, FrameType.ACK})
+COMMANDS = frozenset({FrameType.DRIVE, FrameType.STOP, FrameType.RELEASE, FrameType.SET_TIME})
 
 
 class Flag(IntFlag):
@@ -216,7 +216,7 @@ class Ack(_Payload):
 
 
 @dataclass(frozen=True, slots=True)
-class Drive(_Payload):
+class DriveCommand(_Payload):
     """Surface speeds of the driven wheels of each side, mm/s, forward positive."""
 
     LAYOUT: ClassVar[struct.Struct] = struct.Struct("<hh")
@@ -225,7 +225,7 @@ class Drive(_Payload):
     right: int
 
     @classmethod
-    def parse(cls, payload: bytes) -> Drive:
+    def parse(cls, payload: bytes) -> DriveCommand:
         """Read a payload; see the module for what is refused."""
         left, right = _unpack(cls.LAYOUT, "DRIVE", payload)
         _require(max(abs(left), abs(right)) <= _TOP_SPEED, "a speed", (left, right))

@@ -68,7 +68,7 @@ Receiver: TypeAlias = Callable[[Reading], None]
 
 
 @dataclass(frozen=True, slots=True)
-class Health:
+class DeviceHealth:
     """The status of a device.
 
     Attributes
@@ -154,7 +154,7 @@ class Device(Component):
             self._thread = None
         self._set_state("stopped", "")
 
-    def health(self) -> Health:
+    def health(self) -> DeviceHealth:
         """Return the status of the device."""
         vitals, moment = self._vitals, now()
         with vitals.lock:
@@ -165,7 +165,7 @@ class Device(Component):
                 kind: sum(stamp > moment - RATE_WINDOW for stamp in stamps) / RATE_WINDOW
                 for kind, stamps in vitals.recent.items()
             }
-            return Health(state, vitals.detail, rates, dict(vitals.counts), last)
+            return DeviceHealth(state, vitals.detail, rates, dict(vitals.counts), last)
 
     def _keep_serving(self) -> None:
         while not self._stopping.is_set():

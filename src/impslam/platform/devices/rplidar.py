@@ -22,7 +22,7 @@ from impslam.platform.devices.rplidar_protocol import (
     Nodes,
     request,
 )
-from impslam.platform.devices.rplidar_scans import NodeClock, Turn, Turns, laser_scan
+from impslam.platform.devices.rplidar_scans import NodeClock, Revolution, Turns, laser_scan
 
 if TYPE_CHECKING:
     import serial
@@ -184,7 +184,9 @@ class RPLidar(Device):
                     + (', and set mode = "standard" if its firmware is old' if express else "")
                 )
 
-    def _deliver_turn(self, turn: Turn, clock: NodeClock, model: Model, arrived: float) -> None:
+    def _deliver_turn(
+        self, turn: Revolution, clock: NodeClock, model: Model, arrived: float
+    ) -> None:
         fitted = clock.fit()
         if fitted is None:
             self._count("before the clock")

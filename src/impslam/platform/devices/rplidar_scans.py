@@ -20,7 +20,7 @@ MAX_LATENESS = 0.03  # s; if all recent arrivals are later, bytes were lost with
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Turn:
+class Revolution:
     """The measurements of one turn: n of `slots` expected ones.
 
     `first` is the number of the turn's first measurement in the stream, `numbers` (n,) count from it;
@@ -42,7 +42,7 @@ class Turns:
         self._parts: list[Nodes] = []
         self.broken = 0
 
-    def add(self, nodes: Nodes) -> list[Turn]:
+    def add(self, nodes: Nodes) -> list[Revolution]:
         """Add nodes and return the turns that they complete."""
         cuts = np.flatnonzero(nodes.starts).tolist()
         turns = []
@@ -58,7 +58,7 @@ class Turns:
             self.broken += 1
         return turns
 
-    def _end_turn(self, end: int) -> Turn | None:
+    def _end_turn(self, end: int) -> Revolution | None:
         """Return the turn that ends before a number; None if it has no start or is broken."""
         parts, self._parts = [part for part in self._parts if len(part.starts)], []
         if not parts or not parts[0].starts[0]:
@@ -71,7 +71,7 @@ class Turns:
             return None
         numbers = [part.first - first + np.arange(len(part.starts)) for part in parts]
         qualities = [part.qualities for part in parts if part.qualities is not None]
-        return Turn(
+        return Revolution(
             first,
             end - first,
             np.concatenate(numbers).astype(np.float64),
@@ -154,7 +154,9 @@ def _is_not_convex(a: tuple[int, float], b: tuple[int, float], c: tuple[int, flo
     return (b[0] - a[0]) * (c[1] - a[1]) <= (b[1] - a[1]) * (c[0] - a[0])
 
 
-def laser_scan(turn: Turn, begin: float, period: float, limits: tuple[float, float]) -> LaserScan:
+def laser_scan(
+    turn: Revolution, begin: float, period: float, limits: tuple[float, float]
+) -> LaserScan:
     """Return a turn as a scan with evenly spaced beams, as logs need it.
 
     The scan has `slots` beams, with the best phase. Each beam takes the range of the measurement with

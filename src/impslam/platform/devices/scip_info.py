@@ -63,7 +63,7 @@ class Version:
 
 
 @dataclass(frozen=True, slots=True)
-class Parameters:
+class MeasurementParameters:
     """PP: parameters of the measurement.
 
     Attributes
@@ -86,7 +86,7 @@ class Parameters:
     speed: int
 
     @classmethod
-    def of(cls, body: tuple[bytes, ...]) -> Parameters:
+    def of(cls, body: tuple[bytes, ...]) -> MeasurementParameters:
         """Read the answer to PP.
 
         Raises

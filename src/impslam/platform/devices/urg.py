@@ -15,9 +15,9 @@ from impslam.platform.devices.clock import DeviceClock
 from impslam.platform.devices.port import opened
 from impslam.platform.devices.scip import Mode
 from impslam.platform.devices.scip_encoding import DamagedError
-from impslam.platform.devices.scip_info import Parameters
+from impslam.platform.devices.scip_info import MeasurementParameters
 from impslam.platform.devices.scip_link import ReceivedResponse, ScipLink, UnansweredError
-from impslam.platform.devices.urg_beams import Beams
+from impslam.platform.devices.urg_beams import UrgBeams
 from impslam.platform.devices.urg_clock import SweepTimes
 from impslam.platform.devices.urg_start import (
     BM,
@@ -62,7 +62,7 @@ class Urg(Device):
 
     _clock: DeviceClock = PrivateAttr(default_factory=DeviceClock)
     _times: SweepTimes = PrivateAttr()
-    _beams: Beams = PrivateAttr()
+    _beams: UrgBeams = PrivateAttr()
     _period: float = PrivateAttr(default=0.0)  # s from a scan to the next, nominal
     _measured_period: float = PrivateAttr(default=0.0)  # s, as measured
     _last: float = PrivateAttr(default=-math.inf)  # host time of the last scan's step 0
@@ -124,7 +124,7 @@ class Urg(Device):
         )
         (self._stream if self.mode in scip.STREAMS else self._poll)(link, title)
 
-    def _configure(self, parameters: Parameters) -> None:
+    def _configure(self, parameters: MeasurementParameters) -> None:
         first = parameters.first if self.first_step < 0 else self.first_step
         last = parameters.last if self.last_step < 0 else self.last_step
         if not parameters.first <= first <= last <= parameters.last:
@@ -132,7 +132,7 @@ class Urg(Device):
                 f"{self.port}: steps {first} to {last} lie outside what this sensor measures; "
                 f"choose first_step and last_step within {parameters.first} to {parameters.last}"
             )
-        self._beams = Beams.of(parameters, self.mode, (first, last), self.cluster, self.skip)
+        self._beams = UrgBeams.of(parameters, self.mode, (first, last), self.cluster, self.skip)
         period = parameters.turn * (1 + self.skip)
         if period != self._period:
             self._period = self._measured_period = period

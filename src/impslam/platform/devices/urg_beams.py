@@ -8,14 +8,14 @@ import numpy as np
 
 from impslam.platform.devices import scip
 from impslam.platform.devices.scip import Mode, Sweep
-from impslam.platform.devices.scip_info import Parameters
+from impslam.platform.devices.scip_info import MeasurementParameters
 from impslam.types import Array, LaserScan
 
 SATURATED = 4095  # mm: the largest value of two characters, sent for all larger distances
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Beams:
+class UrgBeams:
     """The n beams of a scan, each of `cluster` neighbouring steps.
 
     Attributes
@@ -37,8 +37,13 @@ class Beams:
 
     @classmethod
     def of(
-        cls, parameters: Parameters, mode: Mode, span: tuple[int, int], cluster: int, skip: int
-    ) -> Beams:
+        cls,
+        parameters: MeasurementParameters,
+        mode: Mode,
+        span: tuple[int, int],
+        cluster: int,
+        skip: int,
+    ) -> UrgBeams:
         """Return the beams of the steps of `span`, each in the middle of its cluster."""
         first, last = span
         starts = np.arange(first, last + 1, cluster, dtype=np.float64)

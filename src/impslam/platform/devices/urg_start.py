@@ -9,7 +9,7 @@ from typing import Final
 from impslam.platform.devices import scip, scip_status
 from impslam.platform.devices.base import DeviceError
 from impslam.platform.devices.scip_encoding import DamagedError
-from impslam.platform.devices.scip_info import Parameters, Version, fields
+from impslam.platform.devices.scip_info import MeasurementParameters, Version, fields
 from impslam.platform.devices.scip_link import ReceivedResponse, ScipLink, UnansweredError
 from impslam.platform.devices.urg_clock import SweepTimes
 
@@ -114,7 +114,7 @@ def read_state(link: ScipLink) -> str:
     return ""
 
 
-def read_parameters(link: ScipLink) -> Parameters:
+def read_parameters(link: ScipLink) -> MeasurementParameters:
     """Return the parameters on which two consecutive answers agree, as six bits of checksum are few.
 
     Raises
@@ -124,10 +124,10 @@ def read_parameters(link: ScipLink) -> Parameters:
     DeviceError
         If a parameter is impossible.
     """
-    before: Parameters | None = None
+    before: MeasurementParameters | None = None
     for _ in range(2 * READ_TRIES):
         try:
-            parameters = Parameters.of(link.query(scip.request("PP")).response.body)
+            parameters = MeasurementParameters.of(link.query(scip.request("PP")).response.body)
         except DamagedError:
             link.count("damaged responses", 1)
             continue

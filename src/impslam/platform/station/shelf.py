@@ -35,7 +35,7 @@ class Binned:
 
 
 @dataclass(frozen=True, slots=True)
-class Kind:
+class EntryKind:
     """A kind of entries: their word, the suffix of their names, and a test of the file mode."""
 
     word: str
@@ -43,8 +43,8 @@ class Kind:
     fits: Callable[[int], bool]
 
 
-LOGS = Kind("log", ".mcap", stat.S_ISREG)
-MAPS = Kind("map", "", stat.S_ISDIR)
+LOGS = EntryKind("log", ".mcap", stat.S_ISREG)
+MAPS = EntryKind("map", "", stat.S_ISDIR)
 
 
 class Shelf:
@@ -57,7 +57,7 @@ class Shelf:
     folder : it may be missing, and entries may vanish at any time
     """
 
-    def __init__(self, folder: Path, kind: Kind) -> None:
+    def __init__(self, folder: Path, kind: EntryKind) -> None:
         self.folder, self._kind = folder, kind
         self._bin = folder / BIN
         self._lock = threading.Lock()  # of moves

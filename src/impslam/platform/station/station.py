@@ -12,7 +12,7 @@ import tomli_w
 from impslam.config import Config, load, presets
 from impslam.errors import ImpError
 from impslam.observers.live_view import LiveView
-from impslam.platform.devices.base import Device, DriveDevice, Health, Reading, event, now
+from impslam.platform.devices.base import Device, DeviceHealth, DriveDevice, Reading, event, now
 from impslam.platform.station.continued_map import load_continued_map
 from impslam.platform.station.helm import Helm
 from impslam.platform.station.map_keeper import MapKeeper
@@ -30,7 +30,7 @@ MAX_EVENTS = 200  # kept for the page; the log has all of them
 class StationHealth:
     """The status of all parts, for the page."""
 
-    devices: Mapping[str, Health]
+    devices: Mapping[str, DeviceHealth]
     recording: RecordingStatus
     mapping: MapperStatus
     climate: Climate | None = None

@@ -21,7 +21,7 @@ from impslam.platform.virtual.tcp_line import TcpLine
 from impslam.platform.virtual.urg import UrgEmulator
 from impslam.platform.virtual.wheel_speed import SpeedControl, SpeedController
 from impslam.simulation.body import Body
-from impslam.simulation.body_lidar import Sweeps
+from impslam.simulation.body_lidar import LidarSweeps
 from impslam.simulation.robot import SimulatedRobot
 from impslam.simulation.world import World
 
@@ -105,10 +105,10 @@ def _lidar(setup: Setup, body: Body, drift: float, seed: int, noise: int) -> Emu
     """Return the lidar's emulator; one sweep is computed here, so that the first one is not late."""
     body.advance(0.2)
     if setup.lidar == "rplidar":
-        sweeps = Sweeps(body, noise, A1)
+        sweeps = LidarSweeps(body, noise, A1)
         sweeps.ranges(0.0)
         return RPLidarEmulator(sweeps, A1)
-    sweeps = Sweeps(body, noise)
+    sweeps = LidarSweeps(body, noise)
     sweeps.ranges(0.0)
     return UrgEmulator(sweeps, drift=drift, seed=seed)
 

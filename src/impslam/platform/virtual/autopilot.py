@@ -12,10 +12,10 @@ from impslam.errors import MessageError
 from impslam.platform.devices.autopilot_messages import (
     COMMANDS,
     Ack,
-    Drive,
+    DriveCommand,
     Flag,
+    FrameType,
     Hello,
-    Kind,
     Reset,
     Result,
     Sensors,
@@ -143,7 +143,7 @@ class AutopilotEmulator:
             self._clock(time),
             self._host_offset,
         )
-        self._send_frame(Kind.HELLO, hello.pack())
+        self._send_frame(FrameType.HELLO, hello.pack())
 
     def _send_sensors(self, time: float) -> None:
         rates, forces = self.vehicle.inertial()
@@ -165,7 +165,7 @@ class AutopilotEmulator:
             applied=self._applied,
             applied_clock=self._applied_clock,
         )
-        self._send_frame(Kind.SENSORS, sensors.pack())
+        self._send_frame(FrameType.SENSORS, sensors.pack())
 
     def _field(self) -> Array:
         """Return the Earth's magnetic field in the body's frame, T."""
@@ -184,10 +184,10 @@ class AutopilotEmulator:
 
     def _execute(self, frame: Frame, time: float) -> None:
         actions: dict[int, Callable[[bytes, float], Result]] = {
-            Kind.DRIVE: self._on_drive,
-            Kind.STOP: self._on_stop,
-            Kind.RELEASE: self._on_release,
-            Kind.SET_TIME: self._on_set_time,
+            FrameType.DRIVE: self._on_drive,
+            FrameType.STOP: self._on_stop,
+            FrameType.RELEASE: self._on_release,
+            FrameType.SET_TIME: self._on_set_time,
         }
         try:
             result = actions[frame.type](frame.payload, time)
@@ -196,12 +196,12 @@ class AutopilotEmulator:
         clock = self._clock(time)
         if result is Result.DONE:
             self._applied, self._applied_clock = frame.sequence, clock
-        self._send_frame(Kind.ACK, Ack(frame.type, result, frame.sequence, clock).pack())
-        if frame.type == Kind.SET_TIME:
+        self._send_frame(FrameType.ACK, Ack(frame.type, result, frame.sequence, clock).pack())
+        if frame.type == FrameType.SET_TIME:
             self._send_hello(time)
 
     def _on_drive(self, payload: bytes, time: float) -> Result:
-        command = Drive.parse(payload)
+        command = DriveCommand.parse(payload)
         if self._state & Flag.STOPPED:
             return Result.STOPPED
         self._state, self._drive_until = Flag(0), time + DEAD_MAN
@@ -250,7 +250,7 @@ class AutopilotEmulator:
         if any(self.commanded):
             self.vehicle.drive(*speeds.tolist())
 
-    def _send_frame(self, kind: Kind, payload: bytes) -> None:
+    def _send_frame(self, kind: FrameType, payload: bytes) -> None:
         self._out += self._encoder.encode(kind, payload)[1]
 
 

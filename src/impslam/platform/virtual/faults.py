@@ -18,7 +18,7 @@ class _Fault(Parameters):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
-class Noise(_Fault):
+class LineNoise(_Fault):
     """Corrupted bytes on a line, in both directions."""
 
     fault: Literal["noise"] = "noise"
@@ -70,7 +70,7 @@ class Stall(_Fault):
 
 
 Fault: TypeAlias = Annotated[
-    Noise | Delay | Unplug | Reboot | Malfunction | Stall, Field(discriminator="fault")
+    LineNoise | Delay | Unplug | Reboot | Malfunction | Stall, Field(discriminator="fault")
 ]
 _FAULT: TypeAdapter[Fault] = TypeAdapter(Fault)
 

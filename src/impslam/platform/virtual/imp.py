@@ -18,7 +18,15 @@ from impslam.errors import ConfigError
 from impslam.platform.virtual.autopilot import AutopilotEmulator
 from impslam.platform.virtual.base import Emulator
 from impslam.platform.virtual.camera import CameraEmulator
-from impslam.platform.virtual.faults import Delay, Fault, Malfunction, Noise, Reboot, Stall, Unplug
+from impslam.platform.virtual.faults import (
+    Delay,
+    Fault,
+    LineNoise,
+    Malfunction,
+    Reboot,
+    Stall,
+    Unplug,
+)
 from impslam.platform.virtual.line import Line
 from impslam.platform.virtual.urg import UrgEmulator
 from impslam.simulation.body import Body
@@ -177,8 +185,8 @@ class VirtualImp:
         elif isinstance(fault, Delay):
             self._camera.freeze(fault.seconds)
 
-    def _line_fault(self, line: Line, fault: Noise | Delay | Unplug, until: float) -> None:
-        if isinstance(fault, Noise):
+    def _line_fault(self, line: Line, fault: LineNoise | Delay | Unplug, until: float) -> None:
+        if isinstance(fault, LineNoise):
             line.noise(fault.rate, fault.kind, until)
         elif isinstance(fault, Delay):
             line.hold(until)

@@ -18,9 +18,9 @@ from impslam.platform.virtual.base import Surroundings
 from impslam.platform.virtual.urg_memory import (
     BIT_RATES,
     COMMANDS,
-    Line,
     Memory,
     Order,
+    OutputLine,
     parameter_error,
 )
 from impslam.platform.virtual.urg_sensor import UrgSensor, clustered
@@ -60,7 +60,7 @@ class UrgEmulator:
         self._sensor = UrgSensor(surroundings, drift, clock_start_ms, turn)
         self._rng = np.random.default_rng(seed)
         self._scip1, self._serial = scip1, serial
-        self._memory, self._line = Memory(not scip1, serial or BIT_RATES[0]), Line()
+        self._memory, self._line = Memory(not scip1, serial or BIT_RATES[0]), OutputLine()
         self._input = b""
         self._lasting = False
         self._time = 0.0
@@ -96,7 +96,7 @@ class UrgEmulator:
         self._run(time)
         self._reset()
         self._memory.scip2, self._memory.ready = not self._scip1, time + BOOT_TIME
-        self._line, self._input = Line(), b""
+        self._line, self._input = OutputLine(), b""
 
     def fail(self, status: int, *, lasting: bool = False) -> None:
         """Simulate a malfunction: 50 to 97 are cleared by RS unless `lasting`, 21 to 49 by themselves."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from impslam.platform.devices.scip_info import Parameters, to_line
+from impslam.platform.devices.scip_info import MeasurementParameters, to_line
 from impslam.platform.virtual.urg_sensor import UrgSensor
 
 
@@ -19,7 +19,7 @@ def version() -> bytes:
     )
 
 
-def parameters(p: Parameters) -> bytes:
+def parameters(p: MeasurementParameters) -> bytes:
     """Return the answer to PP."""
     return _to_lines(
         MODL=p.model,

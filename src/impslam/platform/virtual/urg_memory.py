@@ -76,7 +76,7 @@ class Memory:
 
 
 @dataclass(slots=True)
-class Line:
+class OutputLine:
     """The output line: RS-232 delays bytes, USB (`bit_rate` 0) does not."""
 
     queue: deque[tuple[float, bytes]] = field(default_factory=deque)

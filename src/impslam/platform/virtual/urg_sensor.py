@@ -8,11 +8,11 @@ from typing import Final
 import numpy as np
 
 from impslam.platform.devices import scip
-from impslam.platform.devices.scip_info import Parameters
+from impslam.platform.devices.scip_info import MeasurementParameters
 from impslam.platform.virtual.base import Surroundings
 from impslam.types import Ints
 
-URG_04LX: Final = Parameters(
+URG_04LX: Final = MeasurementParameters(
     "URG-04LX(Hokuyo Automatic Co.,Ltd.)", 20, 5600, 1024, 44, 725, 384, 600
 )
 LAST_STEP: Final = 768  # that may be requested; steps outside `first` to `last` return 19

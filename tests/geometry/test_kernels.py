@@ -120,6 +120,53 @@ def test_code_is_recompiled_if_a_called_kernel_has_changed(tmp_path: Path) -> No
         assert said.stdout == f"{by} {hits}\n"
 
 
+TYPED = """
+from typing import NamedTuple
+from impslam.geometry.kernels import kernel
+
+class {name}(NamedTuple):
+    x: float
+
+@kernel
+def double(pair):
+    return 2.0 * pair.x
+
+def call():
+    return double({name}(1.0)), double.stats.cache_hits.total()
+"""
+
+
+def test_code_for_types_that_were_renamed_is_compiled_again(tmp_path: Path) -> None:
+    """As after an update of this program."""
+    (tmp_path / "typed.py").write_text(TYPED.format(name="Old"))
+    code = "import typed; print(*typed.call())"
+    path = {"PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])}
+    for name, hits in (("Old", 0), ("Old", 1), ("New", 0), ("New", 1)):
+        (tmp_path / "typed.py").write_text(TYPED.format(name=name))
+        assert run_again(code, path) == f"2.0 {hits}\n"
+
+
+@pytest.mark.parametrize("suffix", ["nbi", "nbc"])
+@pytest.mark.parametrize("content", [b"", b"damaged", None])
+def test_damaged_code_is_compiled_again(tmp_path: Path, suffix: str, content: bytes | None) -> None:
+    """As a power loss leaves it: empty, overwritten, cut."""
+    (tmp_path / "typed.py").write_text(TYPED.format(name="Old"))
+    code = "import typed; print(*typed.call())"
+    path = {"PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])}
+    assert run_again(code, path) == "2.0 0\n"
+    (file,) = (tmp_path / "__pycache__").glob(f"*.{suffix}")
+    file.write_bytes(file.read_bytes()[:-20] if content is None else content)
+    assert run_again(code, path) == "2.0 0\n"
+    assert run_again(code, path) == "2.0 1\n"
+
+
+def run_again(code: str, path: dict[str, str]) -> str:
+    return subprocess.run(
+        [sys.executable, "-B", "-c", code],
+        capture_output=True, text=True, check=True, env=os.environ | path,
+    ).stdout  # fmt: skip
+
+
 def test_loaded_code_is_compiled_into_a_new_caller(tmp_path: Path) -> None:
     package = tmp_path / "joined"
     package.mkdir()

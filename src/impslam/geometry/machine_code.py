@@ -18,11 +18,35 @@ from types import FunctionType
 from typing import Any
 
 from numba.core import environment
-from numba.core.caching import FunctionCache
+from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.core.runtime.nrt import rtsys
 
 from impslam.geometry import code_library
 from impslam.geometry.scipy_extension import load
+
+log = logging.getLogger(__name__)
+
+
+class CodeFiles(IndexDataCacheFile):
+    """The files of one kernel. A file that cannot be unpickled counts as missing.
+
+    Arguments of a kernel are in it by their types' names: another version of this program may have
+    renamed them. A file may also be damaged, as by a power loss.
+    """
+
+    def _load_index(self) -> dict[object, str]:
+        try:
+            index: dict[object, str] = super()._load_index()
+        except Exception as error:
+            log.debug("compiled code is not used: %s: %s", self._index_path, error)
+            return {}
+        return index
+
+    def _load_data(self, name: str) -> object:
+        try:
+            return super()._load_data(name)
+        except Exception as error:
+            raise OSError(f"{name}: {error}") from error  # as of a missing file
 
 
 class MachineCode(FunctionCache):
@@ -30,6 +54,13 @@ class MachineCode(FunctionCache):
 
     The first of these that is writable is used. Code that cannot be cached still runs.
     """
+
+    def __init__(self, function: Callable[..., object]) -> None:
+        super().__init__(function)
+        files = self._cache_file
+        self._cache_file = CodeFiles(
+            files._cache_path, self._impl.filename_base, files._source_stamp
+        )
 
     def load_overload(self, sig: object, target_context: Any) -> object:
         """Return a cached function of the same source, or None.
@@ -67,7 +98,7 @@ def _load_linear_algebra() -> None:
 def warn_once(problem: str) -> None:
     """Warn that compiled code is not cached."""
     if multiprocessing.parent_process() is None:  # a worker's parent has warned already
-        logging.getLogger(__name__).warning(
+        log.warning(
             "%s, so every run compiles anew (a minute or two); set NUMBA_CACHE_DIR to a folder of yours",
             problem,
         )

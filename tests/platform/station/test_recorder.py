@@ -230,8 +230,8 @@ def test_a_bad_message_is_dropped_and_notified_once(
     assert status.dropped == {"LaserScan": 3, "Steering": 1, "WheelAngles": 2, "Climate": 1}
     assert status.written == {"WheelAngles": 1}
     assert [text for level, text in notices if level == "warning" and "LaserScan" in text] == [
-        "urg: LaserScan cannot be recorded: angles are not equally spaced, which "
-        "sensor_msgs/LaserScan cannot say"
+        "urg: LaserScan cannot be recorded: angles are not equally spaced, as "
+        "sensor_msgs/LaserScan requires"
     ]
     assert topics(path) == {"/impslam/preset": 1, "/joint_states": 1}
 

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import functools
 import time
 from array import array
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from operator import attrgetter
 from typing import Any
+
+import numpy as np
 
 from impslam.geometry.kernels import compile_seconds
 from impslam.observers.base import Dropped, Outcome
@@ -73,3 +77,17 @@ def about(outcome: Outcome, logs: Sequence[Mapping[str, Any]] = ()) -> dict[str,
         "counts": dict(sorted(outcome.counts.items())),
         "versions": versions(),
     }
+
+
+def seal(*values: object) -> None:
+    """Make the arrays passed to observers read-only, except those of sweeps."""
+    for value in values:
+        kind: Any = type(value)
+        for part in _parts_of(kind)(value):
+            if type(part) is np.ndarray:
+                part.setflags(write=False)
+
+
+@functools.cache
+def _parts_of(kind: type[Any]) -> Callable[[object], tuple[object, ...]]:
+    return attrgetter(*(getattr(kind, "_fields", None) or kind.__dataclass_fields__))

@@ -12,14 +12,13 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
-from operator import attrgetter
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import numpy as np
 
-from impslam.bookkeeping import Stopwatch, about, dropped
+from impslam.bookkeeping import Stopwatch, about, dropped, seal
 from impslam.columns import Batch, Motions, Sweeps, batches
 from impslam.config import Config
 from impslam.continuing import Continuation, Known, begin_with, logs_of
@@ -187,7 +186,7 @@ class Run:
     def _follow(self, track: Track) -> None:
         if len(track.stamps):
             self._path = path = self._builder.follow(track)
-            _seal(track, path)
+            seal(track, path)
             for observer in self._observers:
                 observer.follow(track, path)
 
@@ -206,7 +205,7 @@ class Run:
         if revision.refused:
             self.problems.add("keyframe", revision.refused)
         self._path = path = self._builder.revise(keyframe, revision)
-        _seal(keyframe, revision, path)
+        seal(keyframe, revision, path)
         for observer in self._observers:
             observer.revise(keyframe, revision, path)
 
@@ -426,20 +425,6 @@ def _finished(
     counts = {**outcome.counts, "landmarks": len(known.landmarks)}
     outcome = replace(outcome, counts=counts, stages=stages, dropped=unused)
     return replace(known, about=about(outcome, logs)), outcome
-
-
-def _seal(*values: object) -> None:
-    """Make the arrays passed to observers read-only, except those of sweeps."""
-    for value in values:
-        kind: Any = type(value)
-        for part in _parts_of(kind)(value):
-            if type(part) is np.ndarray:
-                part.setflags(write=False)
-
-
-@functools.cache
-def _parts_of(kind: type[Any]) -> Callable[[object], tuple[object, ...]]:
-    return attrgetter(*(getattr(kind, "_fields", None) or kind.__dataclass_fields__))
 
 
 class _Callable(ModuleType):

@@ -102,13 +102,7 @@ def _cheapest(cost: Array, first: int, last: int) -> int:
 
 @kernel
 def search(
-    system: System,
-    pairs: Pairs,
-    groups: Ints,
-    rest: Ints,
-    floor: Array,
-    limits: Array,
-    budget: int,
+    system: System, pairs: Pairs, groups: Ints, rest: Ints, floor: Array, limits: Array, budget: int
 ) -> tuple[Ints, bool]:
     """Return the pair chosen for each of n observations, or NONE, and whether the search was complete.
 
@@ -139,10 +133,8 @@ def search(
     while i >= 0:
         if choice[i] >= 0:
             used[landmarks[choice[i]]] = False
-        max_count = count[i] + n - i
-        pruned = max_count < best_count or (
-            max_count == best_count and score[i] + floor[i] >= best_score
-        )
+        most = count[i] + n - i
+        pruned = most < best_count or (most == best_count and score[i] + floor[i] >= best_score)
         pruned = pruned or d2[i] > limits[top[i] + rest[i]]
         if pruned or choice[i] == NONE or i == n or budget < 0:
             choice[i] = _UNVISITED

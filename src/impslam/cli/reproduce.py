@@ -45,8 +45,7 @@ ALL = "all"
 def reproduce(
     *experiments: str,
     seeds: Annotated[
-        int | None,
-        Parameter(help="Simulated runs per experiment. Default: enough for a first look."),
+        int | None, Parameter(help="Simulated runs per experiment. Default: enough for a look.")
     ] = None,
     full: Annotated[
         bool,

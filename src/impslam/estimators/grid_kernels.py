@@ -9,7 +9,7 @@ import numpy as np
 from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.kernels import kernel
 from impslam.surfaces.features import Features
-from impslam.surfaces.surface_map import Alignment, AlignmentEvidence, solve_3x3
+from impslam.surfaces.surface_map import Alignment, FitSums, solve_3x3
 from impslam.surfaces.tiles import Sorted, Tiles, evidence, sort
 from impslam.types import Array, Ints
 
@@ -37,7 +37,7 @@ def propose(
     indices, tables, origin = maps
     count = len(guesses)
     u, information, cost = np.zeros((count, 3)), np.zeros((count, 3, 3)), np.zeros(count)
-    out = AlignmentEvidence(np.empty((3, 3)), np.empty(3), np.empty(4))
+    out = FitSums(np.empty((3, 3)), np.empty(3), np.empty(4))
     for p in range(count):
         seen = sort(tables[indices[p]], origin, features, guesses[p])
         if len(seen.features) < len(features):
@@ -52,7 +52,7 @@ def _align(
     seen: Sorted,
     prior: tuple[Array, Array],
     how: Alignment,
-    out: AlignmentEvidence,
+    out: FitSums,
     found: tuple[Array, Array],
 ) -> float:
     """Move u (3,) to the optimum, fill its information (3, 3), and return the cost there.
@@ -80,7 +80,7 @@ def _align(
 
 @kernel
 def _normal_equations(
-    out: AlignmentEvidence, root: Array, u: Array, how: Alignment, information: Array, b: Array
+    out: FitSums, root: Array, u: Array, how: Alignment, information: Array, b: Array
 ) -> float:
     """Fill information (3, 3) and gradient b (3,) at u, including the prior; return the prior's weight."""
     w = 1.0 / (1.0 + (u * u).sum() / how.slack2)

@@ -233,12 +233,8 @@ def _merge(
         for b in range(a + 1, min(p, a + 1 + _LOOK_AHEAD)):
             if not (lines[a, 0] == lines[a, 0] and lines[b, 0] == lines[b, 0]):
                 continue
-            ends[0], ends[1], ends[2], ends[3] = (
-                pieces[a, 0],
-                pieces[a, 1] - 1,
-                pieces[b, 0],
-                pieces[b, 1] - 1,
-            )
+            ends[0], ends[1] = pieces[a, 0], pieces[a, 1] - 1
+            ends[2], ends[3] = pieces[b, 0], pieces[b, 1] - 1
             p1, p2 = points[ends[1]], points[ends[2]]
             if (
                 math.hypot(p2[0] - p1[0], p2[1] - p1[1]) <= gap
@@ -250,15 +246,8 @@ def _merge(
                         label[k] = a
                 lines[b] = np.nan
                 pieces[a, 1] = pieces[b, 1]
-                _fit(
-                    points,
-                    beams,
-                    variances,
-                    flat2,
-                    label,
-                    (a, pieces[a, 0], pieces[a, 1]),
-                    lines[a],
-                )
+                piece = a, pieces[a, 0], pieces[a, 1]
+                _fit(points, beams, variances, flat2, label, piece, lines[a])
     return lines, label
 
 

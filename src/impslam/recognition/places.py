@@ -20,7 +20,7 @@ from impslam.recognition.verify import MIN_MATCHED, ClosureStrength, Support, ju
 from impslam.surfaces.features import Features
 from impslam.surfaces.surface_map import (
     Alignment,
-    AlignmentEvidence,
+    FitSums,
     SurfaceMap,
     add,
     align,
@@ -220,7 +220,7 @@ def search_points(features: Features) -> tuple[Features, float]:
     return close[np.arange(count) * len(close) // count], HEADING_STEP * SEARCH_RANGE / limit
 
 
-def information(evidence: AlignmentEvidence) -> Array:
+def information(evidence: FitSums) -> Array:
     """Return the information (3, 3) of an aligned pose.
 
     Its covariance is that of the points, C = sigma^2 H^-1 with sigma^2 from their residuals, plus a

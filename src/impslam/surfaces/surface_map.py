@@ -71,7 +71,7 @@ class Alignment(NamedTuple):
     slack2: float
 
 
-class AlignmentEvidence(NamedTuple):
+class FitSums(NamedTuple):
     """Information about a pose from the points of a scan, in units of one point.
 
     Attributes
@@ -86,9 +86,9 @@ class AlignmentEvidence(NamedTuple):
     sums: Array
 
 
-def no_evidence() -> AlignmentEvidence:
+def no_evidence() -> FitSums:
     """Return zero evidence, to be filled in place."""
-    return AlignmentEvidence(np.zeros((3, 3)), np.zeros(3), np.zeros(4))
+    return FitSums(np.zeros((3, 3)), np.zeros(3), np.zeros(4))
 
 
 def empty_surface_map(width: float, height: float, surfels: int) -> SurfaceMap:
@@ -195,12 +195,7 @@ def _average(
 
 @kernel
 def normal_equations(
-    surface_map: SurfaceMap,
-    features: Features,
-    pose: Array,
-    scale: float,
-    step: int,
-    out: AlignmentEvidence,
+    surface_map: SurfaceMap, features: Features, pose: Array, scale: float, step: int, out: FitSums
 ) -> None:
     """Fill `out` with the evidence of every `step`-th feature for a pose (3,), with kernel `scale` m."""
     height, width = surface_map.nearest.shape
@@ -258,7 +253,7 @@ def _add_row(sums: _Sums, nx: float, ny: float, lever: float, e: float, w: float
 
 
 @kernel
-def _store(out: AlignmentEvidence, sums: _Sums, counts: tuple[float, float, float, float]) -> None:
+def _store(out: FitSums, sums: _Sums, counts: tuple[float, float, float, float]) -> None:
     """Fill `out` with the sums, and its own `sums` with the counts."""
     H, g, n = out.H, out.g, out.sums
     n[_INSIDE], n[_INLIERS], n[_SQUARES], n[_WEIGHTS] = counts
@@ -273,7 +268,7 @@ def align(
     pose: Array,
     prior: Array,
     settings: Alignment,
-    out: AlignmentEvidence,
+    out: FitSums,
 ) -> float:
     """Move pose (3,) in place to the best fit of the features to the map; return the inlier share.
 

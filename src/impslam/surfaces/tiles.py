@@ -18,7 +18,7 @@ from impslam.surfaces.features import Features
 from impslam.surfaces.surface_map import (
     CELL,
     RADIUS,
-    AlignmentEvidence,
+    FitSums,
     SurfaceMap,
     add,
     clear,
@@ -151,9 +151,9 @@ def sort(table: Ints, origin: Ints, features: Features, pose: Array) -> Sorted:
 
 
 @kernel
-def evidence(pool: Tiles, seen: Sorted, pose: Array, scale: float, out: AlignmentEvidence) -> None:
+def evidence(pool: Tiles, seen: Sorted, pose: Array, scale: float, out: FitSums) -> None:
     """Fill `out` with the evidence of sorted features for a pose (3,); see `normal_equations`."""
-    part = AlignmentEvidence(np.empty((3, 3)), np.empty(3), np.empty(4))
+    part = FitSums(np.empty((3, 3)), np.empty(3), np.empty(4))
     out.H[:], out.g[:], out.sums[:] = 0.0, 0.0, 0.0
     for k in range(len(seen.tiles)):
         features = seen.features[seen.starts[k] : seen.starts[k + 1]]

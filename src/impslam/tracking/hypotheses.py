@@ -18,7 +18,7 @@ from impslam.geometry.kernels import kernel
 from impslam.surfaces.features import Features
 from impslam.surfaces.surface_map import (
     Alignment,
-    AlignmentEvidence,
+    FitSums,
     SurfaceMap,
     align,
     normal_equations,
@@ -75,9 +75,7 @@ def chi2_of(pose: Array, predicted: Prediction) -> float:
 
 
 @kernel
-def cost(
-    pose: Array, predicted: Prediction, match: Alignment, evidence: AlignmentEvidence
-) -> float:
+def cost(pose: Array, predicted: Prediction, match: Alignment, evidence: FitSums) -> float:
     """Return the negative log probability of a pose, up to a constant.
 
     The part of the points is the Geman-McClure cost that alignment minimises: the squared scale for each
@@ -100,7 +98,7 @@ def align_from_predictions(
     predicted: Prediction,
     match: Alignment,
     pose: Array,
-    evidence: AlignmentEvidence,
+    evidence: FitSums,
 ) -> float:
     """Align also from the last pose and from that at constant velocity; keep the pose of lowest cost.
 
@@ -126,7 +124,7 @@ def search(
     predicted: Prediction,
     match: Alignment,
     pose: Array,
-    evidence: AlignmentEvidence,
+    evidence: FitSums,
 ) -> float:
     """Align from poses around all predictions, and keep a clear best; see `align_from_predictions`.
 
@@ -165,7 +163,7 @@ def _finish(
     best: Array,
     match: Alignment,
     pose: Array,
-    evidence: AlignmentEvidence,
+    evidence: FitSums,
 ) -> float:
     """Set pose and evidence to the best pose; return the inlier share."""
     pose[:] = best

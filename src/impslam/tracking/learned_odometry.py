@@ -108,9 +108,8 @@ def learn(
         keep = math.exp(-(abs(motion[0]) + 0.3 * abs(motion[2])) / BIAS_MEMORY)
         for k in range(3):
             cause, effect = (motion[2] if k == 1 else motion[0]), (off[0] if k == 2 else off[2])
-            learned.sums[k, 0] = keep * learned.sums[k, 0] + cause * (
-                effect + learned.bias[k] * cause
-            )
+            whole = effect + learned.bias[k] * cause  # without the correction
+            learned.sums[k, 0] = keep * learned.sums[k, 0] + cause * whole
             learned.sums[k, 1] = keep * learned.sums[k, 1] + cause * cause
             bias = learned.sums[k, 0] / (learned.sums[k, 1] + 0.1)
             learned.bias[k] = min(max(bias, -MAX_BIAS[k]), MAX_BIAS[k])

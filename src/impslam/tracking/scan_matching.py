@@ -21,7 +21,7 @@ from impslam.geometry.kernels import kernel
 from impslam.health import ELSEWHERE, NONE, UNEXPLAINED
 from impslam.noise import UNKNOWN
 from impslam.surfaces.features import Features, find_features, leave_out_grazing
-from impslam.surfaces.surface_map import Alignment, AlignmentEvidence, align
+from impslam.surfaces.surface_map import Alignment, FitSums, align
 from impslam.tracking.base import Gate, Steps, add_travel, reaches_limit
 from impslam.tracking.hypotheses import (
     Prediction,
@@ -39,6 +39,7 @@ from impslam.tracking.match_faults import (
     check_motion,
     current_fault,
 )
+from impslam.tracking.match_information import add_along, add_drift, information, remove_spurious
 from impslam.tracking.submaps import Submaps, extend, is_empty, older_map
 from impslam.types import Array, Mask
 
@@ -64,8 +65,6 @@ odometry does."""
 MIN_INFORMATION_RATIO = 0.05
 """Smallest ratio of the information along the weakest and the strongest axis: a twentieth of the points
 face along a corridor whose end is in view; fewer are lone points that may be anywhere."""
-NORMAL_SIGMA = 0.03
-"""rad, 1 sigma: error of a normal from three points 0.25 m apart that scatter by 1 cm."""
 USUAL_SHARE = 0.8
 """Inlier share of scans indoors; below, information falls with its fourth power: people, bushes, a ramp."""
 USUAL_RMS = 0.02
@@ -121,7 +120,7 @@ class State(NamedTuple):
     prior: Array
     unlocated: Array
     averages: Array
-    evidence: AlignmentEvidence
+    evidence: FitSums
     faults: MatchFaults
 
 
@@ -167,12 +166,8 @@ def follow(
         out.d_pose[k], out.covariance[k] = state.motion, state.covariance
         at_limit = reaches_limit(gate, d_pose, motions.duration[k])
         in_doubt = state.faults.poor[0] > 0.0
-        if (
-            at_limit
-            or no_odometry
-            or in_doubt
-            or _due(beams.ranges[k], beams.valid[k], state, lidar)
-        ):
+        wanted = at_limit or no_odometry or in_doubt
+        if wanted or _due(beams.ranges[k], beams.valid[k], state, lidar):
             count = _find_features(beams, k, no_odometry, settings, features)
             if count < MIN_POINTS:
                 state.submaps.travelled[0] += state.travelled[0]
@@ -285,7 +280,7 @@ def _match(
     usual, H, W = means[0], np.empty((3, 3)), np.empty(3)
     share = _find_pose(features, state, settings, H, W)
     if no_odometry:
-        _remove_spurious(H)
+        remove_spurious(H)
     off = np.empty(3)
     between(guess, state.pose, off)
     fit = MatchQuality(state.evidence.sums[0], share, off)
@@ -295,10 +290,9 @@ def _match(
         state.pose[:], state.averages[:] = guess, means
         return
     state.averages[0] += MEMORY[0] * (share - usual)
-    enough = (
-        MAX_LOCATED_SIGMA**-2 if no_odometry else min(1.0 / state.prior[0], MAX_LOCATED_SIGMA**-2)
-    )
-    weakest, strongest, axis = _information(H)
+    located = MAX_LOCATED_SIGMA**-2
+    enough = located if no_odometry else min(1.0 / state.prior[0], located)
+    weakest, strongest, axis = information(H)
     well_constrained = weakest > enough and weakest > MIN_INFORMATION_RATIO * strongest
     out.located[k] = share >= MIN_FIT * usual and well_constrained
     if not no_odometry:
@@ -313,12 +307,10 @@ def _match(
     out.reasons[k], out.amounts[k] = check_motion(
         state.faults, odometry_motion, state.velocity, out.located[k], far, state.travelled[2]
     )
-    out.d_pose[k], out.covariance[k] = (
-        state.velocity,
-        rotate_covariance(covariance, -state.matched[2]),
-    )
+    out.d_pose[k] = state.velocity
+    out.covariance[k] = rotate_covariance(covariance, -state.matched[2])
     state.submaps.travelled[0] += math.hypot(state.velocity[0], state.velocity[1])
-    _add_drift(state.velocity, settings.drift, out.covariance[k])
+    add_drift(state.velocity, settings.drift, out.covariance[k])
 
 
 @kernel
@@ -328,15 +320,6 @@ def _learn(state: State, fit: MatchQuality, located: bool) -> None:
     plausible = plausible and abs(fit.off[0]) < 4.0 * math.sqrt(state.prior[0])
     quality = min(1.0, state.averages[0] / USUAL_SHARE) ** 4
     learn(state.odometry, state.motion, fit.off, plausible, state.pose, quality, located)
-
-
-@kernel
-def _add_drift(motion: Array, drift: Array, covariance: Array) -> None:
-    """Add the drift of matched motion, the mean square of errors with heavy tails, as on ramps."""
-    distance, turn = math.hypot(motion[0], motion[1]), abs(motion[2])
-    covariance[0, 0] += drift[0] ** 2 * distance
-    covariance[1, 1] += drift[1] ** 2 * distance
-    covariance[2, 2] += drift[2] ** 2 * distance + drift[3] ** 2 * turn
 
 
 @kernel
@@ -352,42 +335,7 @@ def _coast(state: State, located: bool, weakest: float, axis: float, covariance:
     if not located:
         state.faults.unlocated[0] = max(state.faults.unlocated[0], SPEED_SIGMA * state.unlocated[0])
     variance = 2.0 * SPEED_SIGMA**2 * state.unlocated[0] * seconds
-    _add_along(covariance, axis, variance)
-
-
-@kernel
-def _add_along(M: Array, axis: float, amount: float) -> None:
-    """Add an amount along an axis (rad) to the position part of M (3, 3)."""
-    x, y = math.cos(axis), math.sin(axis)
-    M[0, 0] += amount * x * x
-    M[0, 1] += amount * x * y
-    M[1, 0] += amount * x * y
-    M[1, 1] += amount * y * y
-
-
-@kernel
-def _information(H: Array) -> tuple[float, float, float]:
-    """Return the smallest and largest information of H (3, 3) about the position, heading unknown, 1/m^2.
-
-    The third value is the direction of the smallest, rad.
-    """
-    if not H[2, 2] > 0.0:
-        return 0.0, 0.0, 0.0
-    xx, yy = H[0, 0] - H[0, 2] ** 2 / H[2, 2], H[1, 1] - H[1, 2] ** 2 / H[2, 2]
-    xy = H[0, 1] - H[0, 2] * H[1, 2] / H[2, 2]
-    mean, half = 0.5 * (xx + yy), math.hypot(0.5 * (xx - yy), xy)
-    return mean - half, mean + half, 0.5 * math.atan2(-2.0 * xy, yy - xx)
-
-
-@kernel
-def _remove_spurious(H: Array) -> None:
-    """Subtract from H (3, 3) the spurious information along walls that errors of normals cause.
-
-    The share `NORMAL_SIGMA`^2 of a wall's information appears along the wall and would hold the estimate
-    of a robot without odometry in place. It is subtracted along the axis of the smallest information.
-    """
-    weakest, strongest, axis = _information(H)
-    _add_along(H, axis, -max(min(NORMAL_SIGMA**2 * strongest, weakest), 0.0))
+    add_along(covariance, axis, variance)
 
 
 @kernel

@@ -1,0 +1,55 @@
+"""Information of a match about the pose, and the drift of matched motion, as 3 x 3 matrices."""
+
+from __future__ import annotations
+
+import math
+
+from impslam.geometry.kernels import kernel
+from impslam.types import Array
+
+NORMAL_SIGMA = 0.03
+"""rad, 1 sigma: error of a normal from three points 0.25 m apart that scatter by 1 cm."""
+
+
+@kernel
+def information(H: Array) -> tuple[float, float, float]:
+    """Return the smallest and largest information of H (3, 3) about the position, heading unknown, 1/m^2.
+
+    The third value is the direction of the smallest, rad.
+    """
+    if not H[2, 2] > 0.0:
+        return 0.0, 0.0, 0.0
+    xx, yy = H[0, 0] - H[0, 2] ** 2 / H[2, 2], H[1, 1] - H[1, 2] ** 2 / H[2, 2]
+    xy = H[0, 1] - H[0, 2] * H[1, 2] / H[2, 2]
+    mean, half = 0.5 * (xx + yy), math.hypot(0.5 * (xx - yy), xy)
+    return mean - half, mean + half, 0.5 * math.atan2(-2.0 * xy, yy - xx)
+
+
+@kernel
+def remove_spurious(H: Array) -> None:
+    """Subtract from H (3, 3) the spurious information along walls that errors of normals cause.
+
+    The share `NORMAL_SIGMA`^2 of a wall's information appears along the wall and would hold the estimate
+    of a robot without odometry in place. It is subtracted along the axis of the smallest information.
+    """
+    weakest, strongest, axis = information(H)
+    add_along(H, axis, -max(min(NORMAL_SIGMA**2 * strongest, weakest), 0.0))
+
+
+@kernel
+def add_along(M: Array, axis: float, amount: float) -> None:
+    """Add an amount along an axis (rad) to the position part of M (3, 3)."""
+    x, y = math.cos(axis), math.sin(axis)
+    M[0, 0] += amount * x * x
+    M[0, 1] += amount * x * y
+    M[1, 0] += amount * x * y
+    M[1, 1] += amount * y * y
+
+
+@kernel
+def add_drift(motion: Array, drift: Array, covariance: Array) -> None:
+    """Add the drift of matched motion, the mean square of errors with heavy tails, as on ramps."""
+    distance, turn = math.hypot(motion[0], motion[1]), abs(motion[2])
+    covariance[0, 0] += drift[0] ** 2 * distance
+    covariance[1, 1] += drift[1] ** 2 * distance
+    covariance[2, 2] += drift[2] ** 2 * distance + drift[3] ** 2 * turn

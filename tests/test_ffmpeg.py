@@ -15,7 +15,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 from impslam.observers.video import _writer
-from impslam.overhead.video import Video
+from impslam.overhead.video import VideoFile
 from impslam.platform.devices.base import DeviceError
 from impslam.platform.devices.camera import Camera
 
@@ -28,7 +28,7 @@ for _ in range(2):
     try:
         Camera(source="http://127.0.0.1:9/stream")._open()
     except DeviceError:
-        with Video(path) as video:
+        with VideoFile(path) as video:
             print(sum(1 for _ in video))
 """
 

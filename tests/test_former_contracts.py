@@ -40,7 +40,7 @@ FORMER = [
     (
         *("sensor", "sensors", "Sensor"),
         "    consumes: ClassVar[type[Message]] = LaserScan\n    def observe(self, message, twist): ...",
-        "look, sweeps",
+        "sweeps",
     ),
     (
         *("extractor", "extractors", "Extractor"),

@@ -14,7 +14,8 @@ from impslam.health import OPEN, SLIPPED
 from impslam.noise import UNKNOWN, MotionNoise
 from impslam.tracking.base import KeyframeGate
 from impslam.tracking.learned_odometry import START
-from impslam.tracking.scan_matching import NORMAL_SIGMA, SPEED_SIGMA, _information, _remove_spurious
+from impslam.tracking.match_information import NORMAL_SIGMA, information, remove_spurious
+from impslam.tracking.scan_matching import SPEED_SIGMA
 from impslam.tracking.scan_to_map import ScanToMap
 from impslam.types import Increment
 
@@ -580,9 +581,9 @@ def test_a_lidar_alone_keeps_its_velocity_along_a_bare_corridor(rng):
 def test_spurious_information_is_subtracted_from_the_weakest_axis_alone(rng):
     J = rng.standard_normal((40, 3)) * [0.02, 1.0, 2.0]
     H = J.T @ J
-    before, after = _information(H), H.copy()
-    _remove_spurious(after)
-    weakest, strongest, axis = _information(after)
+    before, after = information(H), H.copy()
+    remove_spurious(after)
+    weakest, strongest, axis = information(after)
     expected = before[0] - NORMAL_SIGMA**2 * before[1]
     assert weakest == pytest.approx(max(expected, 0.0), abs=1e-9)
     assert strongest == pytest.approx(before[1])

@@ -51,10 +51,11 @@ class BeamModel(NamedTuple):
     limit: float
 
 
-DRAWN = BeamModel(3.0 * math.log(0.67 / 0.33), math.log(0.33 / 0.67), math.log(0.99 / 0.01))
-"""For maps that are shown and planned on: a cell is occupied if more than a quarter of the scans that
-reach it end in it, as in GMapping. A wall on the border of two cells ends half of its beams in either,
-fewer with noise. Two passes make a cell free in a trinary map (p < 0.196), six clear any cell."""
+DRAWN = BeamModel(2.0 * math.log(0.67 / 0.33), math.log(0.33 / 0.67), math.log(0.99 / 0.01))
+"""For maps that are displayed and used for planning: a cell is occupied if more than a third of the scans
+that reach it end in it. A wall on the border of two cells ends half of its beams in either one, fewer with
+noise; GMapping uses a quarter, which also keeps more single beams from the edges of objects. Two passes
+make a cell free in a trinary map (p < 0.196), six clear any cell."""
 BALANCED = BeamModel(math.log(0.7 / 0.3), math.log(0.3 / 0.7), math.log(0.97 / 0.03))
 """For questions of evidence: log-odds count by how many more scans hit a cell than passed through it.
 With 2 cm of range noise a beam ends in its own cell of 5 cm in 7 of 10."""

@@ -9,29 +9,27 @@ across the wall, within 20 cm to both sides.
 
 from __future__ import annotations
 
-import math
 import sys
 from pathlib import Path
 
 import numpy as np
 
 from impslam.map import Map
-from impslam.maps.files import OCCUPIED_ABOVE
-from impslam.maps.grid import OccupancyGrid
+from impslam.maps.files import OCCUPIED, MapImage, map_image
 from impslam.types import Array, Landmark, Mask
 
 STEP, ENDS, SHORTEST = 0.01, 0.1, 0.5  # m
-GAP, ACROSS = 0.0751, 0.2  # m
+GAP = 0.0751  # m
+OFFSETS = np.arange(-0.2, 0.2 + 1e-9, STEP)  # m, across a wall
 
 
-def occupied(grid: OccupancyGrid, points: Array) -> Mask:
+def occupied(image: MapImage, points: Array) -> Mask:
     """Return which points (..., 2) m lie in an occupied cell."""
-    cells = np.floor((points - grid.origin) / grid.resolution).astype(int)
-    rows, columns = grid.logodds.shape
+    cells = np.floor((points - image.origin) / image.resolution).astype(int)
+    rows, columns = image.pixels.shape
     inside = ((cells >= 0) & (cells < (columns, rows))).all(axis=-1)
     out = np.zeros(inside.shape, bool)
-    limit = math.log(OCCUPIED_ABOVE / (1.0 - OCCUPIED_ABOVE))
-    out[inside] = grid.logodds[cells[inside, 1], cells[inside, 0]] > limit
+    out[inside] = image.pixels[::-1][cells[inside, 1], cells[inside, 0]] == OCCUPIED
     return out
 
 
@@ -41,26 +39,24 @@ def length(wall: Landmark) -> float:
     return float(np.linalg.norm(np.diff(wall.end_points, axis=0)))
 
 
-def across(grid: OccupancyGrid, wall: Landmark) -> Mask:
+def across(image: MapImage, wall: Landmark) -> Mask:
     """Return (samples, offsets) which places along and across a wall are occupied."""
     assert wall.end_points is not None
     first, last = wall.end_points
     along = (last - first) / length(wall)
-    t, offsets = np.arange(ENDS, length(wall) - ENDS, STEP), np.arange(-ACROSS, ACROSS + 1e-9, STEP)
-    normal = np.array([-along[1], along[0]])
-    places = first + t[:, None, None] * along + offsets[None, :, None] * normal
-    return occupied(grid, places)
+    t, normal = np.arange(ENDS, length(wall) - ENDS, STEP), np.array([-along[1], along[0]])
+    places = first + t[:, None, None] * along + OFFSETS[None, :, None] * normal
+    return occupied(image, places)
 
 
 def main() -> None:
-    offsets = np.arange(-ACROSS, ACROSS + 1e-9, STEP)
     for run in map(Path, sys.argv[1:]):
         known = Map.load(run / "map.imp")
-        grid = known.grid()
+        image = map_image(known.grid())
         walls = [mark for mark in known.landmarks if mark.kind == "wall"]
-        seen = [across(grid, wall) for wall in walls if length(wall) > SHORTEST]
+        seen = [across(image, wall) for wall in walls if length(wall) > SHORTEST]
         rows = np.concatenate(seen)
-        gaps = 1.0 - rows[:, np.abs(offsets) <= GAP].any(axis=1).mean()
+        gaps = 1.0 - rows[:, np.abs(OFFSETS) <= GAP].any(axis=1).mean()
         width = 100.0 * STEP * rows.sum(axis=1).mean()
         print(
             f"{run}: {len(seen)} walls, {len(rows) * STEP:.0f} m; gaps {gaps:.1%}, {width:.1f} cm wide"

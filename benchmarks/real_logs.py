@@ -190,14 +190,11 @@ NEARLY_ALL = ("keyframes.distance=0.05", "keyframes.angle=0.02")
 """Settings with which nearly every scan of a moving robot is a keyframe."""
 
 
-@dataclass
-class Laps:
-    """Walls seen in nearly all scans of a log, in the map of a run."""
-
-    walls: dict[int, list[Array]]
+Walls = dict[int, list[Array]]
+"""End points (2, 2) m in map of the walls seen in each scan, by its number."""
 
 
-def laps(log: Path, seen: Run) -> Laps:
+def laps(log: Path, seen: Run) -> Walls:
     """Return the walls of nearly all scans of a log, also of those that are no keyframes of the run.
 
     The walls are found by a second run, and placed by the final path of `seen`.
@@ -210,27 +207,27 @@ def laps(log: Path, seen: Run) -> Laps:
     within = between(every.path[rows, 1:], keyframes.poses)
     poses = compose(seen.path[rows, 1:], within)
     placed = zip(poses, every.ends, strict=True)
-    return Laps({k: [transform(pose, e) for e in ends] for pose, (k, ends) in placed})
+    return {k: [transform(pose, e) for e in ends] for pose, (k, ends) in placed}
 
 
-def lap_offsets(seen: Laps, first: int, second: int) -> Array:
+def lap_offsets(walls: Walls, first: int, second: int) -> Array:
     """Return the distances of long walls seen from scan `second` on from those seen before `first`, m.
 
     For each wall of the second lap, the median over all walls of the first lap that run beside it,
     each taken in the middle of the stretch that both show: the nearest would flatter.
     """
-    long = _long_walls(seen)
+    long = _long_walls(walls)
     before = np.array([wall for k, wall in long if k < first])
     return _all_apart((wall, before) for k, wall in long if k >= second)
 
 
-def same_lap_offsets(seen: Laps, first: int, second: int) -> Array:
+def same_lap_offsets(walls: Walls, first: int, second: int) -> Array:
     """Return the same for walls of one lap against those seen in other scans of this lap, m.
 
     Scans fewer than `MIN_SCAN_GAP` apart are left out. What is seen within a lap has hardly any drift:
     this is how well single scans show a wall, and no map can bring two laps closer together.
     """
-    long = _long_walls(seen)
+    long = _long_walls(walls)
     laps = [[(k, w) for k, w in long if k < first], [(k, w) for k, w in long if k >= second]]
     return _all_apart(
         (wall, np.array([w for j, w in lap if abs(j - k) >= MIN_SCAN_GAP]))
@@ -239,8 +236,8 @@ def same_lap_offsets(seen: Laps, first: int, second: int) -> Array:
     )
 
 
-def _long_walls(seen: Laps) -> list[tuple[int, Array]]:
-    return [(k, w) for k, walls in seen.walls.items() for w in walls if _length(w) > MIN_LENGTH]
+def _long_walls(walls: Walls) -> list[tuple[int, Array]]:
+    return [(k, w) for k, seen in walls.items() for w in seen if _length(w) > MIN_LENGTH]
 
 
 def _all_apart(walls: Iterable[tuple[Array, Array]]) -> Array:

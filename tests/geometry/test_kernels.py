@@ -38,6 +38,17 @@ def fit(package: Path, code: str = FIT, **environment: str) -> subprocess.Comple
     )
 
 
+def output(code: str, folder: Path) -> str:
+    """Return what code prints in a process of its own that imports modules from a folder."""
+    return subprocess.run(
+        [sys.executable, "-B", "-c", code],
+        capture_output=True,
+        text=True,
+        check=True,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join([str(folder), *sys.path])},
+    ).stdout
+
+
 @pytest.fixture
 def read_only(tmp_path: Path) -> Path:
     """The package where nobody, not even root, can write beside its modules."""
@@ -110,14 +121,7 @@ def test_code_is_recompiled_if_a_called_kernel_has_changed(tmp_path: Path) -> No
         code = (
             "from parts.caller import caller; print(caller(0.0), caller.stats.cache_hits.total())"
         )
-        said = subprocess.run(
-            [sys.executable, "-B", "-c", code],
-            capture_output=True,
-            text=True,
-            check=True,
-            env=os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])},
-        )
-        assert said.stdout == f"{by} {hits}\n"
+        assert output(code, tmp_path) == f"{by} {hits}\n"
 
 
 TYPED = """
@@ -140,10 +144,9 @@ def test_code_for_types_that_were_renamed_is_compiled_again(tmp_path: Path) -> N
     """As after an update of this program."""
     (tmp_path / "typed.py").write_text(TYPED.format(name="Old"))
     code = "import typed; print(*typed.call())"
-    path = {"PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])}
     for name, hits in (("Old", 0), ("Old", 1), ("New", 0), ("New", 1)):
         (tmp_path / "typed.py").write_text(TYPED.format(name=name))
-        assert run_again(code, path) == f"2.0 {hits}\n"
+        assert output(code, tmp_path) == f"2.0 {hits}\n"
 
 
 @pytest.mark.parametrize("suffix", ["nbi", "nbc"])
@@ -152,19 +155,11 @@ def test_damaged_code_is_compiled_again(tmp_path: Path, suffix: str, content: by
     """As a power loss leaves it: empty, overwritten, cut."""
     (tmp_path / "typed.py").write_text(TYPED.format(name="Old"))
     code = "import typed; print(*typed.call())"
-    path = {"PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])}
-    assert run_again(code, path) == "2.0 0\n"
+    assert output(code, tmp_path) == "2.0 0\n"
     (file,) = (tmp_path / "__pycache__").glob(f"*.{suffix}")
     file.write_bytes(file.read_bytes()[:-20] if content is None else content)
-    assert run_again(code, path) == "2.0 0\n"
-    assert run_again(code, path) == "2.0 1\n"
-
-
-def run_again(code: str, path: dict[str, str]) -> str:
-    return subprocess.run(
-        [sys.executable, "-B", "-c", code],
-        capture_output=True, text=True, check=True, env=os.environ | path,
-    ).stdout  # fmt: skip
+    assert output(code, tmp_path) == "2.0 0\n"
+    assert output(code, tmp_path) == "2.0 1\n"
 
 
 def test_loaded_code_is_compiled_into_a_new_caller(tmp_path: Path) -> None:
@@ -176,14 +171,7 @@ def test_loaded_code_is_compiled_into_a_new_caller(tmp_path: Path) -> None:
     code = "from joined.callee import add; print(add(0.0));" + hits
     more = "from joined.caller import caller, add; print(add(0.0), caller(1.0));" + hits
     for words, expected in ((code, "1.0\n0\n"), (more, "1.0 2.0\n1\n"), (more, "1.0 2.0\n1\n")):
-        said = subprocess.run(
-            [sys.executable, "-B", "-c", words],
-            capture_output=True,
-            text=True,
-            check=True,
-            env=os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])},
-        )
-        assert said.stdout == expected
+        assert output(words, tmp_path) == expected
 
 
 PARTS = """

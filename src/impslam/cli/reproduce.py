@@ -45,7 +45,7 @@ ALL = "all"
 def reproduce(
     *experiments: str,
     seeds: Annotated[
-        int | None, Parameter(help="Simulated runs per experiment. Default: enough for a look.")
+        int | None, Parameter(help="Simulated runs per experiment. Default: a few.")
     ] = None,
     full: Annotated[
         bool,

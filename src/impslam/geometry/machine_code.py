@@ -28,10 +28,10 @@ log = logging.getLogger(__name__)
 
 
 class CodeFiles(IndexDataCacheFile):
-    """The files of one kernel. A file that cannot be unpickled counts as missing.
+    """The cache files of one kernel. A file that cannot be unpickled counts as missing.
 
-    Arguments of a kernel are in it by their types' names: another version of this program may have
-    renamed them. A file may also be damaged, as by a power loss.
+    The files name the types of the kernel's arguments, and another version of this program may have
+    renamed these types. A file may also be damaged, for example by a power loss.
     """
 
     def _load_index(self) -> dict[object, str]:

@@ -435,11 +435,9 @@ def poses_in_map(
     covariances (m, 6) are of `T_anchor_base`, in the order of `UPPER`. The errors of both parts are
     independent and additive.
     """
-    poses, out, motion = (
-        np.empty((len(anchors), 3)),
-        np.empty((len(anchors), 3, 3)),
-        np.empty((3, 3)),
-    )
+    poses = np.empty((len(anchors), 3))
+    out = np.empty((len(anchors), 3, 3))
+    motion = np.empty((3, 3))
     for k in range(len(anchors)):
         poses[k], out[k] = keyframes[anchors[k]], keyframe_covariances[anchors[k]]
         for i in range(9):

@@ -98,10 +98,8 @@ class Mahalanobis(Association):
         likely = group.possible & (cost < 0.0)
         pairs = (inside & likely).nonzero()[0]
         arguments = group.observations[pairs], group.landmarks[pairs], cost[pairs]
-        taken, pair_list = (
-            unambiguous_pairs(*arguments, odds_cost(self.odds), group.in_pieces),
-            pairs.tolist(),
-        )
+        taken = unambiguous_pairs(*arguments, odds_cost(self.odds), group.in_pieces)
+        pair_list = pairs.tolist()
         chosen = [pair_list[p] for p in taken]
         return chosen, unclaimed_pairs(
             group, likely & (distance2 < quantile(self.new_gate, dim)), chosen

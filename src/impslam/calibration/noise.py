@@ -102,10 +102,8 @@ def covariance_slopes(drive: CalibrationDrive, parameters: Array, variances: Arr
     """
     base, lengths = _driven(drive, parameters)
     p, (m, yaw) = len(drive.model.names), _mount(drive, parameters)
-    G, odometry_variances = (
-        _into_lidar(base.translation, base.turn, m, yaw),
-        variances[len(MATCHING) :],
-    )
+    G = _into_lidar(base.translation, base.turn, m, yaw)
+    odometry_variances = variances[len(MATCHING) :]
     if isinstance(drive.model, DifferentialDrive):
         Q, Q_D = _wheel_slopes(lengths, base, parameters[:3])
         Q, Q_D = odometry_variances[0] * Q, odometry_variances[0] * Q_D

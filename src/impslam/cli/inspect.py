@@ -119,10 +119,8 @@ def _scan_facts(beams: ScanGeometry) -> dict[str, str]:
 
 
 def _motion_facts(survey: Survey, config: Config) -> dict[str, str]:
-    distance, turns = (
-        f"{survey.distance:.2f} m",
-        f"{math.degrees(survey.rotation):.0f} deg of turns",
-    )
+    distance = f"{survey.distance:.2f} m"
+    turns = f"{math.degrees(survey.rotation):.0f} deg of turns"
     return {"odometry": f"{config.odometry['kind']}, {distance}, {turns}"}
 
 

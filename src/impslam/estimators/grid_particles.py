@@ -126,12 +126,10 @@ class GridParticles(Estimator):
         self._drawn, self._covariances = GrowingArray(P, 3), GrowingArray(3, 3)
         self._parents, self._rows = GrowingArray(P, dtype=np.int64), np.arange(P)
         self._log_weights, self._scores = np.zeros(P), np.zeros(P)
-        self._leader, self._lineage, self._entered, self._resamplings = (
-            0,
-            np.empty(0, np.int64),
-            0,
-            0,
-        )
+        self._leader = 0
+        self._lineage = np.empty(0, np.int64)
+        self._entered = 0
+        self._resamplings = 0
 
     def add(self, keyframe: Keyframe) -> Revision:
         """Process a keyframe; see `Estimator.add`."""

@@ -49,11 +49,9 @@ class KeyframeLog:
         self.views: list[View | None] = []
         self.points: list[Points] = []
         self.sightings = SightingsLog()
-        self._chain, self._distance, self._steps = (
-            GrowingArray(3),
-            GrowingArray(),
-            GrowingArray(3, 3),
-        )
+        self._chain = GrowingArray(3)
+        self._distance = GrowingArray()
+        self._steps = GrowingArray(3, 3)
         self._nodes, self._sessions = (GrowingArray(dtype=np.int64) for _ in range(2))
         self._hosts, self._T_host = GrowingArray(dtype=np.int64), GrowingArray(3)
         self._has_view = GrowingArray(dtype=np.bool_)

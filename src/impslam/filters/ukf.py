@@ -170,10 +170,8 @@ class UnscentedKalmanFilter(GaussianFilter):
         ids = []
         for observation in observations:
             model = self._atlas.table(observation.kind).model
-            new, spread = (
-                model.initialise(self.pose, observation),
-                np.zeros((POSE + model.dim_z,) * 2),
-            )
+            new = model.initialise(self.pose, observation)
+            spread = np.zeros((POSE + model.dim_z,) * 2)
             spread[:POSE, :POSE] = self._belief.S[:POSE, :POSE]
             spread[POSE:, POSE:] = root(observation.R)
             there = np.array(

@@ -264,10 +264,8 @@ class LiveView(Observer):
         if self._stale and begin >= self._landmarks_due:
             read = self._run.draft_landmarks()
             took = time.monotonic() - begin
-            self._stale, self._landmarks_due = (
-                False,
-                begin + max(LANDMARK_INTERVAL, took / MAX_READ_SHARE),
-            )
+            self._stale = False
+            self._landmarks_due = begin + max(LANDMARK_INTERVAL, took / MAX_READ_SHARE)
         if begin >= self._grid_due:
             self._grid_due, keyframes = begin + GRID_INTERVAL, self._run.keyframes()
         if read is not None or keyframes is not None:

@@ -85,11 +85,9 @@ def write_path_table(
     if states is not None:
         column = np.zeros(len(values))
         column[len(values) - len(states) :] = states
-        values, head, row = (
-            np.column_stack((values, column)),
-            f"{head},{HEALTH_COLUMN}",
-            row + ",%d",
-        )
+        values = np.column_stack((values, column))
+        head = f"{head},{HEALTH_COLUMN}"
+        row = row + ",%d"
     with path.open("w", encoding="utf-8") as stream:
         stream.write(head + "\n")
         for begin in range(

@@ -133,10 +133,8 @@ def search(
     """
     coarse = Alignment(8, 0.25, 0.1, match.information, max(1, len(features) // 60), match.slack2)
     fine = Alignment(4, 0.1, match.narrow, match.information, match.step, match.slack2)
-    prior, old_cost = (
-        predicted.information * SEARCH_PRIOR_WEIGHT,
-        cost(pose, predicted, match, evidence),
-    )
+    prior = predicted.information * SEARCH_PRIOR_WEIGHT
+    old_cost = cost(pose, predicted, match, evidence)
     best, other = pose.copy(), np.empty(3)
     min_share = max(evidence.sums[1] / max(evidence.sums[0], 1.0) + 0.2, 0.6 * predicted.usual, 0.5)
     for start in (predicted.pose, predicted.last, predicted.extrapolated):

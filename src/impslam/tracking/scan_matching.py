@@ -390,11 +390,9 @@ def _fuse(
     product with the best match are written with A = (H + D^-1)^-1, since H has no inverse along a
     corridor.
     """
-    distance, turn, d = (
-        state.travelled[0] + MIN_MOTION[0],
-        state.travelled[1] + MIN_MOTION[1],
-        np.empty(3),
-    )
+    distance = state.travelled[0] + MIN_MOTION[0]
+    turn = state.travelled[1] + MIN_MOTION[1]
+    d = np.empty(3)
     d[0] = d[1] = 1.0 / (max(settings.drift[0], settings.drift[1]) ** 2 * distance + MIN_SIGMA**2)
     d[2] = 1.0 / (settings.drift[2] ** 2 * distance + settings.drift[3] ** 2 * turn + MIN_SIGMA**2)
     A, pull, step = H.copy(), np.empty(3), np.empty(3)

@@ -95,10 +95,8 @@ def _undo(
         advance_pose(state.odometry, odometry[k])
         advance_pose(state.used, used.d_pose[k])
         if state.flags[0] and not state.flags[1]:
-            distance, turn = (
-                math.hypot(state.odometry[0], state.odometry[1]),
-                abs(state.odometry[2]),
-            )
+            distance = math.hypot(state.odometry[0], state.odometry[1])
+            turn = abs(state.odometry[2])
             if distance < MIN_MOTION[0] and turn < MIN_MOTION[1]:
                 continue
         # A stalled robot moves off in the direction of the newest motion.

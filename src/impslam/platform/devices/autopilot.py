@@ -160,10 +160,8 @@ class Autopilot(DriveDevice):
 
     def _check_silence(self, moment: float) -> None:
         state = self._state
-        silence, timeout = (
-            moment - max(state.received_at, state.opened_at),
-            max(REOPEN_TIMEOUT, self.patience),
-        )
+        silence = moment - max(state.received_at, state.opened_at)
+        timeout = max(REOPEN_TIMEOUT, self.patience)
         if silence > self.patience and not state.silent:
             state.silent = True
             self._count("silences", 1)

@@ -204,11 +204,9 @@ class Helm:
     def _send(self) -> None:
         """Send the present command; zeros are repeated as well, since a frame may be lost."""
         with self._lock:
-            device, (speed, turn_rate), stopped = (
-                self._device,
-                self._current_command(),
-                self._stopped,
-            )
+            device = self._device
+            speed, turn_rate = self._current_command()
+            stopped = self._stopped
             if device is None or stopped:
                 return
             # Within the lock, so that no thread sends an old command after a newer one.

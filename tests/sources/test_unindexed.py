@@ -1,5 +1,6 @@
 """ROS 1 bags without an index: of a recorder that was stopped by force, or cut."""
 
+import re
 import struct
 from pathlib import Path
 
@@ -56,6 +57,22 @@ def test_all_of_an_unindexed_bag_is_read(
     assert sum(isinstance(m, OdometryPose) for m in found) == 60
     assert source.problems.counts["cut file"] == 1
     assert "rosbag reindex" in source.problems.examples["cut file"]
+
+
+def test_an_index_whose_records_state_a_wrong_size_is_read_by_its_counts(tmp_path: Path) -> None:
+    """As recorded by ROS in 2010: 20 bytes for each entry of 12."""
+    path = tmp_path / "log.bag"
+    data = bytearray(bag(path))
+    whole, _ = read(path)
+    for index in re.finditer(rb"/\0\0\0\x04\0\0\0op=\x04", bytes(data)):
+        start = index.start()
+        count = struct.unpack_from("<I", data, data.index(b"count=", start) + 6)[0]
+        assert struct.unpack_from("<I", data, start + 51)[0] == 12 * count
+        struct.pack_into("<I", data, start + 51, 20 * count)
+    path.write_bytes(data)
+    found, source = read(path)
+    assert [(type(m), m.stamp) for m in found] == [(type(m), m.stamp) for m in whole]
+    assert "cut file" not in source.problems.counts
 
 
 @pytest.mark.parametrize("packing", PACKINGS)

@@ -1,4 +1,4 @@
-"""The ROS 1 bag reader of rosbags with size limits, and with support for bags without an index.
+"""The ROS 1 bag reader of rosbags with size limits, and with support for bags without a usable index.
 
 The index is written when a bag is closed. A bag whose recorder was killed (`.bag.active`), or that was
 truncated, is a sequence of complete chunks; the last one may be open, with a length that is still 0
@@ -28,6 +28,7 @@ _BOUNDED: dict[Callable[[bytes], bytes], Callable[[bytes], bytes]] = {
     decompressors["bz2"]: unpack_bz2,
     decompressors["lz4"]: unpack_lz4,
 }
+_INDEX_ENTRY = 12  # bytes: time and offset of a message
 
 
 class BoundedReader1(rosbag1.Reader):
@@ -40,9 +41,11 @@ class BoundedReader1(rosbag1.Reader):
         try:
             super().open()
         except (ReaderError, AssertionError) as error:
-            if not any(word in str(error) for word in ("not indexed", "index looks damaged")):
+            damaged = str(error).startswith(("Bag is not indexed", "Bag index looks"))
+            wrong_size = isinstance(error, AssertionError)  # see `_following`
+            if not (damaged or wrong_size):
                 raise
-            self.is_cut = True
+            self.is_cut = damaged
             self.bio = self.path.open("rb")
             try:
                 self._scan()
@@ -122,7 +125,12 @@ class BoundedReader1(rosbag1.Reader):
 
 
 def _following(file: BinaryIO) -> int:
-    """Return the offset of the end of the record at the current offset."""
-    Header.read(file)
+    """Return the offset of the end of the record at the current offset.
+
+    Recorders of 2010 state a wrong size for index records, which ROS ignores: the count is right.
+    """
+    header = Header.read(file)
     size = read_uint32(file)
+    if header.get_uint8("op") == RecordType.IDXDATA:
+        size = _INDEX_ENTRY * header.get_uint32("count")
     return file.tell() + size

@@ -8,9 +8,11 @@ from impslam.tracking.match_faults import (
     MIN_FIT,
     MIN_OPEN_DISTANCE,
     MatchQuality,
-    check_fit,
+    add_fit,
+    add_misfit,
     check_motion,
     current_fault,
+    fits_poorly,
     initial_faults,
     turns_oppose,
 )
@@ -21,6 +23,13 @@ AHEAD, STILL = np.array([0.1, 0.0, 0.0]), np.zeros(3)
 
 def fit(share, points=100.0, off=STILL):
     return MatchQuality(points, share, off)
+
+
+def check_fit(faults, fit, usual, duration):
+    if fits_poorly(faults, fit, usual):
+        return add_misfit(faults, duration)
+    add_fit(faults, fit, usual)
+    return NONE
 
 
 def judged(shares, period=0.2):

@@ -1,9 +1,10 @@
 """Detect faults from matches: whether the scan fits the map, and whether wheels and scans agree.
 
 A scan of a place in the map fits about as well as those before it. After a kidnapping nearly all first
-scans fit less than `MIN_FIT` as well; otherwise about one scan in an hour does. Such a scan changes
-nothing: no map, no mean, nothing learned about odometry, and the pose follows odometry. If the next scans
-do not fit either, the robot is elsewhere, and new maps begin.
+scans fit less than `MIN_FIT` as well, and contradict the map; otherwise about one scan in an hour does.
+Such a scan changes nothing: no map, no mean, nothing learned about odometry, and the pose follows
+odometry. If the next scans do not fit either, the robot is elsewhere, and new maps begin. A scan that
+fits poorly without contradicting the map shows what the map does not contain yet.
 """
 
 from __future__ import annotations
@@ -105,25 +106,32 @@ def initial_faults() -> MatchFaults:
 
 
 @kernel
-def check_fit(faults: MatchFaults, fit: MatchQuality, usual: float, duration: float) -> int:
-    """Return `NONE` if a scan fits the map, else `UNEXPLAINED` or `ELSEWHERE`.
-
-    `usual` is the mean share so far, `duration` s since the last scan.
-    """
-    share, off, shares = fit.share, usual - fit.share, faults.shares
+def fits_poorly(faults: MatchFaults, fit: MatchQuality, usual: float) -> bool:
+    """Return whether a scan fits much worse than those before it; `usual` is the mean share so far."""
+    if fit.points < MIN_POINTS or min(faults.shares[0], usual) < MIN_USUAL_SHARE:
+        return False
     if faults.poor[0] > 0.0:
         moved = (
             math.hypot(fit.off[0], fit.off[1]) > NEAR_ODOMETRY[0]
             or abs(fit.off[2]) > NEAR_ODOMETRY[1]
         )
-        fits = share >= usual * (RECOVERY_FIT[1] if moved else RECOVERY_FIT[0])
-    else:
-        fits = share >= usual * MIN_FIT or off < SIGMAS * math.sqrt(shares[1])
-    if fits or fit.points < MIN_POINTS or min(shares[0], usual) < MIN_USUAL_SHARE:
-        shares[0] += MEMORY[0] * (share - shares[0])
-        shares[1] += MEMORY[1] * (off * off - shares[1])
-        faults.poor[:] = 0.0
-        return NONE
+        return bool(fit.share < usual * (RECOVERY_FIT[1] if moved else RECOVERY_FIT[0]))
+    unlikely = usual - fit.share >= SIGMAS * math.sqrt(faults.shares[1])
+    return bool(unlikely and fit.share < usual * MIN_FIT)
+
+
+@kernel
+def add_fit(faults: MatchFaults, fit: MatchQuality, usual: float) -> None:
+    """Update with a scan that fits the map."""
+    off, shares = usual - fit.share, faults.shares
+    shares[0] += MEMORY[0] * (fit.share - shares[0])
+    shares[1] += MEMORY[1] * (off * off - shares[1])
+    faults.poor[:] = 0.0
+
+
+@kernel
+def add_misfit(faults: MatchFaults, duration: float) -> int:
+    """Update with a scan that does not fit, `duration` s after the last; return the reason."""
     faults.poor[1] += duration if faults.poor[0] > 0.0 else 0.0
     faults.poor[0] += 1.0
     if faults.poor[0] < MIN_POOR_SCANS[0] or faults.poor[1] < MIN_POOR_SCANS[1]:

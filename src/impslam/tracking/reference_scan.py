@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from impslam.columns import Scans
 from impslam.geometry.kernels import kernel, plain
 from impslam.types import Array
@@ -22,8 +24,8 @@ class Geometry(NamedTuple):
 
 
 def geometry_of(scans: Scans) -> Geometry:
-    """Return the directions of the beams of scans."""
-    angles = scans.angles
+    """Return the directions of the beams of scans; the spacing of fewer than two is 0."""
+    angles = scans.angles if len(scans.angles) else np.zeros(1)
     spacing = (angles[-1] - angles[0]) / max(len(angles) - 1, 1)
     return Geometry(plain(scans.laser), float(angles[0]), float(spacing))
 
@@ -40,15 +42,27 @@ def changed_beam(j: int, motion: Array, points: Array, ranges: Array, geometry: 
     n, laser, c, s = len(ranges), geometry.laser, math.cos(motion[2]), math.sin(motion[2])
     x, y = points[j, 0] - motion[0], points[j, 1] - motion[1]
     dx, dy = c * x + s * y - laser[0], c * y - s * x - laser[1]
-    angle = math.atan2(dy, dx) - laser[2] - geometry.first
-    angle -= 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)
-    if geometry.spacing * angle < 0.0:
-        angle += math.copysign(2.0 * math.pi, geometry.spacing)
-    k = int(angle / geometry.spacing + 0.5)
-    if k >= n or ranges[k] <= 0.0:
+    k = beam_towards(math.atan2(dy, dx) - laser[2], n, geometry)
+    if k < 0 or ranges[k] <= 0.0:
         return -1
     shortest = longest = ranges[k]  # on a grazed wall, neighbours measure very different ranges
     for i in range(max(k - 1, 0), min(k + 2, n)):
         shortest, longest = min(shortest, ranges[i]), max(longest, ranges[i])
     expected = math.hypot(dx, dy)
     return k if expected < shortest - MIN_CHANGE or expected > longest + MIN_CHANGE else -1
+
+
+@kernel
+def beam_towards(direction: float, beams: int, geometry: Geometry) -> int:
+    """Return the beam nearest to a direction, rad in the laser's frame; -1 if there is none.
+
+    There is also none if all beams have the same direction.
+    """
+    if geometry.spacing == 0.0:
+        return -1
+    angle = direction - geometry.first
+    angle -= 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)
+    if geometry.spacing * angle < 0.0:
+        angle += math.copysign(2.0 * math.pi, geometry.spacing)
+    k = int(angle / geometry.spacing + 0.5)
+    return k if k < beams else -1

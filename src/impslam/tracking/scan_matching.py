@@ -18,11 +18,12 @@ from impslam.geometry.algebra import between, invert, rotate_covariance
 from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.chain import advance, advance_pose
 from impslam.geometry.kernels import kernel
-from impslam.health import ELSEWHERE, NONE, UNEXPLAINED
+from impslam.health import ELSEWHERE, UNEXPLAINED
 from impslam.noise import UNKNOWN
 from impslam.surfaces.features import Features, find_features, leave_out_grazing
 from impslam.surfaces.surface_map import Alignment, FitSums, align
 from impslam.tracking.base import Gate, Steps, add_travel, reaches_limit
+from impslam.tracking.contradictions import MIN_CONTRADICTED, contradicted_share
 from impslam.tracking.hypotheses import (
     Prediction,
     align_from_predictions,
@@ -35,11 +36,14 @@ from impslam.tracking.match_faults import (
     MIN_FIT,
     MatchFaults,
     MatchQuality,
-    check_fit,
+    add_fit,
+    add_misfit,
     check_motion,
     current_fault,
+    fits_poorly,
 )
 from impslam.tracking.match_information import add_along, add_drift, information, remove_spurious
+from impslam.tracking.reference_scan import Geometry
 from impslam.tracking.submaps import Submaps, extend, is_empty, older_map
 from impslam.types import Array, Mask
 
@@ -91,6 +95,21 @@ class Settings(NamedTuple):
     drift: Array
 
 
+class LidarState(NamedTuple):
+    """The last scans of one lidar.
+
+    Attributes
+    ----------
+    ranges : (n,) m, of its newest matched scan; 0 where invalid
+    pose : (3,) of base_link at that scan, in the frame of the submaps
+    added : (3,) pose of its newest scan in the submaps; NaN before the first
+    """
+
+    ranges: Array
+    pose: Array
+    added: Array
+
+
 class State(NamedTuple):
     """State of the tracker; kernels change all of it in place.
 
@@ -107,6 +126,7 @@ class State(NamedTuple):
         between scans, s
     evidence : of the newest match
     faults : whether the newest scans fit the submaps
+    lidar : the last scans of the lidar whose sweeps are followed
     """
 
     submaps: Submaps
@@ -122,29 +142,17 @@ class State(NamedTuple):
     averages: Array
     evidence: FitSums
     faults: MatchFaults
-
-
-class LidarState(NamedTuple):
-    """The last scans of one lidar.
-
-    Attributes
-    ----------
-    ranges : (n,) m, of its newest matched scan; 0 where invalid
-    added : (3,) pose of its newest scan in the submaps; NaN before the first
-    """
-
-    ranges: Array
-    added: Array
+    lidar: LidarState
 
 
 class BeamColumns(NamedTuple):
-    """The columns of `Scans` that matching uses; `spacing` rad is the angle between neighbours."""
+    """The columns of `Scans` that matching uses, and the directions of the beams."""
 
     points: Array
     valid: Mask
     ranges: Array
     origins: Array
-    spacing: float
+    geometry: Geometry
 
 
 @kernel
@@ -152,7 +160,6 @@ def follow(
     motions: Motions,
     beams: BeamColumns,
     state: State,
-    lidar: LidarState,
     gate: Gate,
     settings: Settings,
     out: Steps,
@@ -167,16 +174,16 @@ def follow(
         at_limit = reaches_limit(gate, d_pose, motions.duration[k])
         in_doubt = state.faults.poor[0] > 0.0
         wanted = at_limit or no_odometry or in_doubt
-        if wanted or _due(beams.ranges[k], beams.valid[k], state, lidar):
+        if wanted or _due(beams.ranges[k], beams.valid[k], state):
             count = _find_features(beams, k, no_odometry, settings, features)
             if count < MIN_POINTS:
                 state.submaps.travelled[0] += state.travelled[0]
             else:
-                _match(features[:count], k, no_odometry, state, settings, out)
+                _match(features[:count], k, no_odometry, beams, state, settings, out)
                 if out.reasons[k] == ELSEWHERE:  # the next maps begin here
-                    state.submaps.travelled[:], lidar.added[:] = math.nan, math.nan
+                    state.submaps.travelled[:], state.lidar.added[:] = math.nan, math.nan
                 if out.reasons[k] != UNEXPLAINED:
-                    _add_to_submaps(features[:count], k, beams, state, lidar, settings)
+                    _add_to_submaps(features[:count], k, beams, state, settings)
             out.reference[k] = True
             state.matched[:] = state.pose
             state.motion[:], state.covariance[:], state.travelled[:] = 0.0, 0.0, 0.0
@@ -226,7 +233,7 @@ def _find_features(
     """Fill `out` with the features of sweep k to match; return their number."""
     count = find_features(
         beams.points[k], beams.valid[k], beams.ranges[k], beams.origins[k],
-        beams.spacing, settings.thin, out,
+        abs(beams.geometry.spacing), settings.thin, out,
     )  # fmt: skip
     if no_odometry:
         count = leave_out_grazing(out[:count])
@@ -234,8 +241,9 @@ def _find_features(
 
 
 @kernel
-def _due(ranges: Array, valid: Mask, state: State, lidar: LidarState) -> bool:
+def _due(ranges: Array, valid: Mask, state: State) -> bool:
     """Return whether a scan should be matched."""
+    lidar = state.lidar
     far = math.hypot(state.motion[0], state.motion[1]) >= MIN_MOTION[0]
     if np.isnan(lidar.added[0]) or far or abs(state.motion[2]) >= MIN_MOTION[1]:
         return True
@@ -256,10 +264,11 @@ def _add_to_submaps(
     k: int,
     beams: BeamColumns,
     state: State,
-    lidar: LidarState,
     settings: Settings,
 ) -> None:
     """Store the ranges of sweep k, and add it to the submaps unless it is near the one added last."""
+    lidar = state.lidar
+    lidar.pose[:] = state.pose
     for i in range(len(lidar.ranges)):
         lidar.ranges[i] = beams.ranges[k, i] if beams.valid[k, i] else 0.0
     new, pose = lidar.added, state.pose
@@ -271,7 +280,13 @@ def _add_to_submaps(
 
 @kernel
 def _match(
-    features: Features, k: int, no_odometry: bool, state: State, settings: Settings, out: Steps
+    features: Features,
+    k: int,
+    no_odometry: bool,
+    beams: BeamColumns,
+    state: State,
+    settings: Settings,
+    out: Steps,
 ) -> None:
     """Match sweep k and update the state; a sweep that does not fit changes only `faults`."""
     if is_empty(state.submaps):
@@ -284,12 +299,17 @@ def _match(
     off = np.empty(3)
     between(guess, state.pose, off)
     fit = MatchQuality(state.evidence.sums[0], share, off)
-    out.reasons[k] = check_fit(state.faults, fit, usual, state.travelled[2])
-    if out.reasons[k] != NONE:
-        out.amounts[k] = share
+    poor = fits_poorly(state.faults, fit, usual)
+    if poor and _contradicts(beams, k, state):
+        out.reasons[k], out.amounts[k] = add_misfit(state.faults, state.travelled[2]), share
         state.pose[:], state.averages[:] = guess, means
         return
-    state.averages[0] += MEMORY[0] * (share - usual)
+    if poor:  # what the scan shows is not in the map yet
+        state.averages[:] = means
+        state.faults.poor[:] = 0.0
+    else:
+        state.averages[0] += MEMORY[0] * (share - usual)
+        add_fit(state.faults, fit, usual)
     located = MAX_LOCATED_SIGMA**-2
     enough = located if no_odometry else min(1.0 / state.prior[0], located)
     weakest, strongest, axis = information(H)
@@ -311,6 +331,16 @@ def _match(
     out.covariance[k] = rotate_covariance(covariance, -state.matched[2])
     state.submaps.travelled[0] += math.hypot(state.velocity[0], state.velocity[1])
     add_drift(state.velocity, settings.drift, out.covariance[k])
+
+
+@kernel
+def _contradicts(beams: BeamColumns, k: int, state: State) -> bool:
+    """Return whether sweep k, at the current pose, contradicts what was seen before."""
+    share = contradicted_share(
+        beams.ranges[k], beams.valid[k], state.pose, older_map(state.submaps), state.lidar.ranges,
+        state.lidar.pose, beams.geometry,
+    )  # fmt: skip
+    return share > MIN_CONTRADICTED
 
 
 @kernel

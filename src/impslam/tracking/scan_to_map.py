@@ -11,11 +11,11 @@ from impslam.columns import Motions, Scans, Sweeps
 from impslam.component import parameter, register
 from impslam.geometry.kernels import plain
 from impslam.noise import MotionNoise
-from impslam.surfaces.features import beam_spacing
 from impslam.surfaces.surface_map import Alignment, no_evidence
 from impslam.tracking.base import Gate, Steps, Tracker
 from impslam.tracking.learned_odometry import initial_odometry
 from impslam.tracking.match_faults import initial_faults
+from impslam.tracking.reference_scan import Geometry, geometry_of
 from impslam.tracking.scan_matching import (
     USUAL_RMS,
     USUAL_SHARE,
@@ -86,6 +86,7 @@ class ScanToMap(Tracker):
             averages=np.array([USUAL_SHARE, USUAL_RMS**2, 0.1]),
             evidence=no_evidence(),
             faults=initial_faults(),
+            lidar=_no_scans(0),
         )
 
     def forget(self) -> None:
@@ -109,29 +110,35 @@ class ScanToMap(Tracker):
         beams = _beams(sweeps.scans, len(sweeps))
         lidar = self._seen.get(sweeps.sensor)
         if lidar is None or len(lidar.ranges) != beams.ranges.shape[1]:
-            lidar = LidarState(np.zeros(beams.ranges.shape[1]), np.full(3, np.nan))
-            self._seen[sweeps.sensor] = lidar
+            lidar = self._seen[sweeps.sensor] = _no_scans(beams.ranges.shape[1])
         m = len(sweeps)
         reference, ends, located = np.zeros((3, m), np.bool_)
         out = Steps(
             np.empty((m, 3)), np.empty((m, 3, 3)), np.empty((m, 3)), reference, ends, located,
             np.zeros(m, np.int8), np.zeros(m),
         )  # fmt: skip
-        follow(motions, beams, self._state, lidar, gate, self.settings(), out)
+        state = self._state._replace(lidar=lidar)
+        follow(motions, beams, state, gate, self.settings(), out)
         return out
+
+
+def _no_scans(beams: int) -> LidarState:
+    """Return the state of a lidar with this number of beams before its first scan."""
+    return LidarState(np.zeros(beams), np.zeros(3), np.full(3, np.nan))
 
 
 def _beams(scans: Scans | None, m: int) -> BeamColumns:
     """Return the beams of m sweeps; no beams unless the sensor is a lidar."""
     if scans is None:
         none: Array = np.zeros((m, 0))
+        geometry = Geometry(np.zeros(3), 0.0, 0.0)
         return BeamColumns(
-            np.zeros((m, 0, 2)), none.astype(np.bool_), none, np.zeros((m, 0, 2)), 0.0
+            np.zeros((m, 0, 2)), none.astype(np.bool_), none, np.zeros((m, 0, 2)), geometry
         )
     return BeamColumns(
         plain(scans.points),
         np.ascontiguousarray(scans.valid),
         plain(scans.ranges),
         plain(scans.origins),
-        beam_spacing(scans.angles),
+        geometry_of(scans),
     )

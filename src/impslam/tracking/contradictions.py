@@ -1,0 +1,94 @@
+"""Whether a scan contradicts what was seen before, or only shows what was not.
+
+A robot that passes a door sees mostly surfaces that its map does not contain: the scan fits poorly, but
+nothing speaks against its pose. A beam contradicts the map if it passes through a known surface, or ends
+where a beam of the last scan passed.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from impslam.geometry.algebra import between
+from impslam.geometry.chain import advance_pose
+from impslam.geometry.kernels import kernel
+from impslam.surfaces.surface_map import CELL, SurfaceMap
+from impslam.tracking.reference_scan import Geometry, beam_towards
+from impslam.types import Array, Mask
+
+MIN_CONTRADICTED = 0.12
+"""Share of the beams that contradict the map if the robot is elsewhere: nearly always over a third. In a
+door it is below a tenth."""
+CLEARANCE = 0.2
+"""m between a surface and the free part of a beam: more than the error of a match and of a range."""
+TURN_CLEARANCE = 0.05
+"""rad on either side of a beam within which all ranges must agree: more than the error of a heading."""
+
+
+@kernel
+def contradicted_share(
+    ranges: Array,
+    valid: Mask,
+    pose: Array,
+    surface_map: SurfaceMap,
+    last_ranges: Array,
+    last_pose: Array,
+    geometry: Geometry,
+) -> float:
+    """Return the share of the valid beams of a scan at pose (3,) that contradict map or last scan.
+
+    `ranges` and `last_ranges` (n,) are in m, the latter 0 where invalid; the poses of both scans are in
+    the frame of the map.
+    """
+    n = len(ranges)
+    laser, last_laser, back = pose.copy(), last_pose.copy(), np.empty(3)
+    advance_pose(laser, geometry.laser)
+    advance_pose(last_laser, geometry.laser)
+    between(last_laser, laser, back)
+    scan = np.where(valid, ranges, 0.0)
+    free, free_before = _free_ranges(scan, geometry), _free_ranges(last_ranges, geometry)
+    surfaces = _nearest_surfaces(laser, surface_map, n, geometry)
+    c, s = math.cos(back[2]), math.sin(back[2])
+    contradicted = count = 0
+    for i in range(n):
+        if not valid[i]:
+            continue
+        count += 1
+        angle = geometry.first + i * geometry.spacing
+        x, y = ranges[i] * math.cos(angle), ranges[i] * math.sin(angle)
+        ex, ey = back[0] + c * x - s * y, back[1] + s * x + c * y
+        k = beam_towards(math.atan2(ey, ex), n, geometry)
+        appeared = k >= 0 and math.hypot(ex, ey) < free_before[k] - CLEARANCE
+        contradicted += appeared or surfaces[i] < free[i] - CLEARANCE
+    return contradicted / max(count, 1)
+
+
+@kernel
+def _free_ranges(ranges: Array, geometry: Geometry) -> Array:
+    """Return the shortest range (n,) within `TURN_CLEARANCE` of each beam; 0 if one of them is invalid."""
+    n, free = len(ranges), np.zeros(len(ranges))
+    width = math.ceil(TURN_CLEARANCE / abs(geometry.spacing)) if geometry.spacing != 0.0 else 0
+    for i in range(n):
+        free[i] = ranges[max(i - width, 0) : i + width + 1].min()
+    return free
+
+
+@kernel
+def _nearest_surfaces(
+    laser: Array, surface_map: SurfaceMap, beams: int, geometry: Geometry
+) -> Array:
+    """Return the distance (n,) in m of the nearest surfel that each beam would hit; inf without one."""
+    nearest = np.full(beams, math.inf)
+    c, s = math.cos(laser[2]), math.sin(laser[2])
+    for k in range(surface_map.size[0]):
+        x, y = surface_map.surfels[k, 0] - laser[0], surface_map.surfels[k, 1] - laser[1]
+        distance = math.hypot(x, y)
+        middle = beam_towards(math.atan2(c * y - s * x, c * x + s * y), beams, geometry)
+        if middle < 0 or distance < CELL:
+            continue
+        width = int(0.5 * CELL / distance / abs(geometry.spacing))
+        for i in range(max(middle - width, 0), min(middle + width + 1, beams)):
+            nearest[i] = min(nearest[i], distance)
+    return nearest

@@ -1,0 +1,102 @@
+"""Scans that contradict what was seen before, and scans that only show what was not."""
+
+import numpy as np
+import pytest
+
+from impslam.geometry.se2 import compose
+from impslam.surfaces.features import find_features
+from impslam.surfaces.surface_map import add, empty_surface_map
+from impslam.tracking.contradictions import MIN_CONTRADICTED, contradicted_share
+from impslam.tracking.reference_scan import Geometry
+
+ROOM = [
+    [(-2, -2), (3, -2)],
+    [(3, -2), (3, -0.5)],
+    [(3, 0.5), (3, 2)],
+    [(3, 2), (-2, 2)],
+    [(-2, 2), (-2, -2)],
+]
+"""A room of 5 x 4 m with a door of 1 m in its right wall."""
+HALL = [
+    [(3, -8), (3, -0.5)],
+    [(3, 0.5), (3, 8)],
+    [(3, 8), (12, 8)],
+    [(12, 8), (12, -8)],
+    [(12, -8), (3, -8)],
+]
+"""The hall behind the door, 9 x 16 m."""
+WORLD = np.array(ROOM + HALL, float)
+BEAMS, SPACING = 361, np.radians(0.5)
+GEOMETRY = Geometry(np.array([0.1, 0.0, 0.0]), -np.pi / 2, SPACING)
+ANGLES = -np.pi / 2 + SPACING * np.arange(BEAMS)
+
+
+def scan_at(pose, walls=WORLD):
+    """Return the ranges of a scan at a pose of base_link."""
+    x, y, theta = compose(np.array(pose, float), GEOMETRY.laser)
+    directions = np.stack((np.cos(ANGLES + theta), np.sin(ANGLES + theta)), axis=-1)[:, None]
+    along, start = walls[:, 1] - walls[:, 0], walls[:, 0] - (x, y)
+    across = directions[..., 0] * along[:, 1] - directions[..., 1] * along[:, 0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = (start[:, 0] * along[:, 1] - start[:, 1] * along[:, 0]) / across
+        u = (start[:, 0] * directions[..., 1] - start[:, 1] * directions[..., 0]) / across
+    return np.where((t > 0) & (u >= 0) & (u <= 1), t, np.inf).min(axis=1)
+
+
+def contradicted(poses, pose, seen=None, valid=None):
+    """Return the share of a scan, seen at one pose and placed at another, after scans at some poses."""
+    surface_map = empty_surface_map(60.0, 60.0, 10_000)
+    everything = np.ones(BEAMS, bool)
+    for place in poses:
+        ranges = scan_at(place)
+        directions = np.stack((np.cos(ANGLES), np.sin(ANGLES)), axis=-1)
+        origins = np.tile(GEOMETRY.laser[:2], (BEAMS, 1))
+        points, found = origins + ranges[:, None] * directions, np.empty((BEAMS, 5), np.float32)
+        n = find_features(points, everything, ranges, origins, SPACING, 0.04, found)
+        add(surface_map, found[:n], np.array(place, float), 20.0)
+    return contradicted_share(
+        scan_at(pose if seen is None else seen),
+        everything if valid is None else valid,
+        np.array(pose, float),
+        surface_map,
+        scan_at(poses[-1]),
+        np.array(poses[-1], float),
+        GEOMETRY,
+    )
+
+
+APPROACH = [(-1.5, 0, 0), (-0.5, 0, 0), (0.5, 0, 0), (1.5, 0, 0), (2.3, 0.1, 0)]
+
+
+def test_a_scan_of_a_known_place_contradicts_nothing():
+    assert contradicted(APPROACH, (1.0, 0.2, 0.3)) == 0.0
+
+
+@pytest.mark.parametrize("turn", [-1.0, 0.0, 1.0])
+@pytest.mark.parametrize("off", [(0.0, 0.0), (0.05, 0.03)])
+def test_a_room_behind_a_door_is_no_contradiction(turn, off):
+    placed = (3.1 + off[0], 0.1 + off[0], turn + off[1])
+    assert contradicted(APPROACH, placed, (3.1, 0.1, turn)) < 0.5 * MIN_CONTRADICTED
+
+
+@pytest.mark.parametrize("elsewhere", [(8, 0, 0), (5, -6, 2), (9, 6, -1.5), (8, 2, 3)])
+def test_a_robot_carried_to_another_place_is_contradicted(elsewhere):
+    assert contradicted(APPROACH, APPROACH[-2], elsewhere) > 2 * MIN_CONTRADICTED
+    hall = [(9, -4, 1.5), (9, -2, 1.5), (9, 0, 1.5), (8.5, 2, 2.5)]
+    assert contradicted(hall, hall[-1], (0, 0, 1)) > 2 * MIN_CONTRADICTED
+
+
+def test_invalid_beams_do_not_count():
+    valid = ANGLES < 0
+    share = contradicted(APPROACH, APPROACH[-2], (8, 0, 0), valid)
+    assert 0.0 < share <= 1.0
+    assert contradicted(APPROACH, APPROACH[-2], (8, 0, 0), np.zeros(BEAMS, bool)) == 0.0
+
+
+def test_beams_of_one_direction_contradict_nothing():
+    one = Geometry(np.zeros(3), 0.0, 0.0)
+    share = contradicted_share(
+        np.array([2.0]), np.ones(1, bool), np.zeros(3), empty_surface_map(9.0, 9.0, 9),
+        np.array([5.0]), np.zeros(3), one,
+    )  # fmt: skip
+    assert share == 0.0

@@ -34,6 +34,7 @@ from impslam.tracking.hypotheses import (
 from impslam.tracking.learned_odometry import LearnedOdometry, correct, learn, variances
 from impslam.tracking.match_faults import (
     MIN_FIT,
+    WINDOW,
     MatchFaults,
     MatchQuality,
     add_fit,
@@ -335,7 +336,12 @@ def _match(
 
 @kernel
 def _contradicts(beams: BeamColumns, k: int, state: State) -> bool:
-    """Return whether sweep k, at the current pose, contradicts what was seen before."""
+    """Return whether sweep k, which fits poorly at the current pose, contradicts what was seen before.
+
+    After a gap in the data, and after a scan that did, every such sweep does: the robot may be anywhere.
+    """
+    if state.travelled[2] > WINDOW or state.faults.poor[0] > 0.0:
+        return True
     share = contradicted_share(
         beams.ranges[k], beams.valid[k], state.pose, older_map(state.submaps), state.lidar.ranges,
         state.lidar.pose, beams.geometry,

@@ -21,7 +21,7 @@ COVARIANCE = np.diag([1e-4, 1e-4, 1e-4]) * 0.04
 def checked(check, increment, scan):
     """Return the increment that the check returns."""
     surfels = prepare(scans_of([scan]), check.spacing)
-    motions, reasons = check.check(motions_of([increment]), surfels)
+    motions, reasons, _ = check.check(motions_of([increment]), surfels)
     assert (reasons[0] != NONE) != same(motions.row(0), increment)
     return motions.row(0)
 

@@ -16,6 +16,13 @@ import numpy as np
 
 from impslam.geometry.kernels import kernel
 from impslam.health import ELSEWHERE, NONE, OPEN, OPPOSED, PUSHED, SLIPPED, STALLED, UNEXPLAINED
+from impslam.tracking.offsets import (
+    Offsets,
+    check_offsets,
+    initial_offsets,
+    interrupt,
+    newest_offset,
+)
 from impslam.types import Array
 
 MIN_FIT = 0.55
@@ -66,6 +73,7 @@ class MatchFaults(NamedTuple):
     unlocated : (1,) m travelled since a scan last determined the position
     turns : (2,) sums of the products of turns by odometry and by scans, and of their magnitudes, rad^2
     newest : (2,) reason and distance of the newest match that was compared
+    offsets : of the lidar's mount and clock
     """
 
     poor: Array
@@ -75,6 +83,7 @@ class MatchFaults(NamedTuple):
     unlocated: Array
     turns: Array
     newest: Array
+    offsets: Offsets
 
 
 class MatchQuality(NamedTuple):
@@ -102,6 +111,7 @@ def initial_faults() -> MatchFaults:
         np.zeros(1),
         np.zeros(2),
         np.zeros(2),
+        initial_offsets(),
     )
 
 
@@ -144,7 +154,7 @@ def add_misfit(faults: MatchFaults, duration: float) -> int:
 def check_motion(
     faults: MatchFaults, odometry: Array, scans: Array, located: bool, far: bool, duration: float
 ) -> tuple[int, float]:
-    """Update with a match; return a reason and the distance in m that comes with it.
+    """Update with a match; return a reason and the amount that comes with it.
 
     `odometry` and `scans` are the motions (3,) since the last match, `located` is whether the scan
     determines the position, and `far` whether the match is far from the pose of odometry.
@@ -157,6 +167,10 @@ def check_motion(
     faults.newest[0], faults.newest[1] = _motion_fault(faults, located, far)
     if turns_oppose(faults.turns, odometry[2], scans[2]):
         faults.newest[0], faults.newest[1] = float(OPPOSED), 0.0
+    if int(faults.newest[0]) in (NONE, OPEN):
+        check_offsets(faults.offsets, odometry, scans, duration)
+    else:
+        interrupt(faults.offsets)
     return current_fault(faults, 0.0)
 
 
@@ -175,9 +189,9 @@ def turns_oppose(turns: Array, odometry: float, scans: float) -> bool:
 
 @kernel
 def current_fault(faults: MatchFaults, duration: float) -> tuple[int, float]:
-    """Return the newest match's reason and distance for an unmatched scan `duration` s after it."""
-    if duration > WINDOW:
-        return NONE, 0.0
+    """Return the newest match's reason and amount for an unmatched scan `duration` s after it."""
+    if duration > WINDOW or faults.newest[0] == NONE:
+        return newest_offset(faults.offsets)
     return int(faults.newest[0]), faults.newest[1]
 
 

@@ -7,6 +7,7 @@ from pydantic import PrivateAttr
 
 from impslam.columns import Motions, Scans, Sweeps
 from impslam.component import register
+from impslam.health import MISTIMED
 from impslam.tracking.base import Gate, Steps, Tracker, mark_keyframes
 from impslam.tracking.odometry_check import OdometryCheck
 from impslam.tracking.stall import StallState, initial_stall_state, undo_stalled_motion
@@ -28,16 +29,17 @@ class OdometryTracker(Tracker):
         motions = motions._replace(covariance=motions.covariance.copy())
         slipped = self._traction.widen(motions.duration, motions.d_pose, motions.covariance)
         surfels = None if scans is None else prepare(scans, OdometryCheck.spacing)
-        checked, reasons = self._check.check(motions, surfels)
+        checked, reasons, amounts = self._check.check(motions, surfels)
         if scans is not None:
             undo_stalled_motion(
                 motions.d_pose, checked, scans, self._stall_state(sweeps.sensor, scans), reasons
             )
         reasons = np.maximum(reasons, slipped)
+        amounts[reasons > MISTIMED] = 0.0
         keyframes = mark_keyframes(checked.d_pose, motions.duration, gate)
         return Steps(
             checked.d_pose, checked.covariance, checked.d_pose, np.ones(m, np.bool_), keyframes,
-            np.zeros(m, np.bool_), reasons, np.zeros(m),
+            np.zeros(m, np.bool_), reasons, amounts,
         )  # fmt: skip
 
     def _stall_state(self, sensor: str, scans: Scans) -> StallState:

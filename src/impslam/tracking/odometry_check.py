@@ -27,6 +27,13 @@ from impslam.health import NONE, OPPOSED, PUSHED, SLIPPED, Reasons
 from impslam.tracking.icp import UNSOLVED, Settings, match
 from impslam.tracking.local_map import LocalMap, empty_map
 from impslam.tracking.match_faults import turns_oppose
+from impslam.tracking.offsets import (
+    Offsets,
+    check_offsets,
+    initial_offsets,
+    interrupt,
+    newest_offset,
+)
 from impslam.tracking.surfels import Surfels, thin
 from impslam.types import Array, Ints, Mask
 
@@ -79,6 +86,7 @@ class CheckedMotions(NamedTuple):
 
     motions: Motions
     reasons: Reasons
+    amounts: Array
 
 
 class MatchHistory(NamedTuple):
@@ -110,6 +118,7 @@ class PendingMotion(NamedTuple):
     clock : (2,) s, its duration, and the newest stamp
     contradicted : (1,) whether that scan contradicted odometry
     turns : (2,) see `match_faults.turns_oppose`
+    offsets : of the lidar's mount and clock
     """
 
     pose: Array
@@ -117,6 +126,7 @@ class PendingMotion(NamedTuple):
     clock: Array
     contradicted: Mask
     turns: Array
+    offsets: Offsets
 
 
 class OdometryCheck:
@@ -129,20 +139,22 @@ class OdometryCheck:
         spread, ring = np.zeros((MAX_SCANS, 3, 3)), np.zeros(2, np.int64)
         self._places = MatchHistory(np.zeros(MAX_SCANS), matched, odometry, used, spread, ring)
         self._pending = PendingMotion(
-            np.zeros(3), np.zeros((3, 3)), np.zeros(2), np.zeros(1, np.bool_), np.zeros(2)
-        )
+            np.zeros(3), np.zeros((3, 3)), np.zeros(2), np.zeros(1, np.bool_), np.zeros(2),
+            initial_offsets(),
+        )  # fmt: skip
         self._known = empty_map()
 
     def check(self, motions: Motions, surfels: Surfels | None) -> CheckedMotions:
         """Return the motions to use for these sweeps; call it once for each sweep."""
+        amounts = np.zeros(len(motions.stamps))
         if surfels is None:
-            return CheckedMotions(motions, np.zeros(len(motions.stamps), np.int8))
+            return CheckedMotions(motions, np.zeros(len(amounts), np.int8), amounts)
         d_pose, covariance = motions.d_pose.copy(), motions.covariance.copy()
         taken = motions._replace(d_pose=d_pose, covariance=covariance)
-        return CheckedMotions(
-            taken,
-            _check(taken, surfels, self._known, SETTINGS, self._places, self._pending),
+        reasons = _check(
+            taken, surfels, self._known, SETTINGS, self._places, self._pending, amounts
         )
+        return CheckedMotions(taken, reasons, amounts)
 
 
 @kernel
@@ -153,8 +165,9 @@ def _check(
     settings: Settings,
     history: MatchHistory,
     pending: PendingMotion,
+    amounts: Array,
 ) -> Reasons:
-    """Replace, in place, the motions that the scans contradict; return the reasons, (m,)."""
+    """Replace, in place, the motions that the scans contradict; return the reasons (m,), fill amounts."""
     stamps, d_pose, covariance, _ = motions
     out, before = np.zeros(len(d_pose), np.int8), np.empty(3)
     for k in range(len(d_pose)):
@@ -165,6 +178,7 @@ def _check(
         before[:] = pending.pose
         advance(pending.pose, pending.covariance, d_pose[k], covariance[k])
         if not _due(history, pending):
+            out[k], amounts[k] = newest_offset(pending.offsets)
             continue
         points = surfels.rows[surfels.starts[k] : surfels.starts[k + 1]]
         points = thin(points, settings.spacing, True)
@@ -178,6 +192,12 @@ def _check(
                 out[k] = OPPOSED
             advance_pose(history.used[(history.ring[1] - 1) % MAX_SCANS], d_pose[k])
         pending.contradicted[0] = out[k] != NONE
+        if pending.contradicted[0]:
+            interrupt(pending.offsets)
+        else:
+            out[k], amounts[k] = check_offsets(
+                pending.offsets, pending.pose, motion, pending.clock[0]
+            )
         pending.pose[:], pending.covariance[:], pending.clock[0] = 0.0, 0.0, 0.0
     return out
 

@@ -22,11 +22,11 @@ for _library in ("OPENBLAS", "MKL", "OMP"):  # one core
     os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
 
 import numpy as np
-from numba.core.dispatcher import Dispatcher
 
 from impslam.columns import batches
 from impslam.config import load
 from impslam.filters import belief
+from impslam.geometry.kernels import Kernel
 from impslam.run import Run
 from impslam.simulation.robot import Lidar, SimulatedRobot
 from impslam.simulation.simulate import simulate
@@ -50,7 +50,7 @@ class Kernels:
         for name, module in list(sys.modules.items()):
             if name.startswith("impslam."):
                 for key, value in list(vars(module).items()):
-                    if isinstance(value, Dispatcher):
+                    if isinstance(value, Kernel):
                         setattr(module, key, self._timed(value))
         belief.subtract_product = self._timed(belief.subtract_product)
 

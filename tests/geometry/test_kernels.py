@@ -1,14 +1,17 @@
 """Kernels: where their machine code is kept, and that they run where it cannot be kept."""
 
+import inspect
 import os
 import shutil
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 import pytest
 from numba.core import caching
+from numba.core.errors import TypingError
 
 import impslam
 from impslam.geometry import machine_code
@@ -17,7 +20,7 @@ from impslam.geometry.kernels import kernel
 FIT = (
     "import numpy as np; from impslam.geometry.circle_start import taubin as f;"
     "p = np.array([[0.0, 1.0], [1.0, 0.0], [-1.0, 0.0]]);"
-    "print(round(f(p)[2], 9), f.stats.cache_hits.total())"
+    "print(round(f(p)[2], 9), f.dispatcher.stats.cache_hits.total())"
 )
 PRODUCT = (
     "import sys, numpy as np; from impslam.odometry.gyro import _update as f;"
@@ -119,7 +122,8 @@ def test_code_is_recompiled_if_a_called_kernel_has_changed(tmp_path: Path) -> No
     for by, hits in ((1.0, 0), (1.0, 1), (2.0, 0)):
         (package / "callee.py").write_text(CALLEE.format(name="add", by=by))
         code = (
-            "from parts.caller import caller; print(caller(0.0), caller.stats.cache_hits.total())"
+            "from parts.caller import caller as f;"
+            "print(f(0.0), f.dispatcher.stats.cache_hits.total())"
         )
         assert output(code, tmp_path) == f"{by} {hits}\n"
 
@@ -136,7 +140,7 @@ def double(pair):
     return 2.0 * pair.x
 
 def call():
-    return double({name}(1.0)), double.stats.cache_hits.total()
+    return double({name}(1.0)), double.dispatcher.stats.cache_hits.total()
 """
 
 
@@ -167,7 +171,7 @@ def test_loaded_code_is_compiled_into_a_new_caller(tmp_path: Path) -> None:
     package.mkdir()
     (package / "callee.py").write_text(CALLEE.format(name="add", by=1.0))
     (package / "caller.py").write_text(CALLER.format(package="joined", name="add"))
-    hits = "print(add.stats.cache_hits.total())"
+    hits = "print(add.dispatcher.stats.cache_hits.total())"
     code = "from joined.callee import add; print(add(0.0));" + hits
     more = "from joined.caller import caller, add; print(add(0.0), caller(1.0));" + hits
     for words, expected in ((code, "1.0\n0\n"), (more, "1.0 2.0\n1\n"), (more, "1.0 2.0\n1\n")):
@@ -194,7 +198,7 @@ def test_only_entry_points_have_machine_code(tmp_path: Path) -> None:
     (tmp_path / "lengths.py").write_text(PARTS)
     code = """
 from lengths import length, root
-print(length(3.0, 4.0), len(root.overloads), length.stats.cache_hits.total())
+print(length(3.0, 4.0), len(root.dispatcher.overloads), length.dispatcher.stats.cache_hits.total())
 try:
     length(-1.0, 0.0)
 except ValueError as error:
@@ -206,6 +210,54 @@ except ValueError as error:
     assert [p.name.split("-")[0] for p in tmp_path.rglob("*.nbc")] == ["lengths.length"]
     assert run("from lengths import root; print(root(4.0))", tmp_path) == "2.0\n"
     assert len(list(tmp_path.rglob("*.nbc"))) == 2
+
+
+def test_only_kernels_that_are_called_have_a_dispatcher(tmp_path: Path) -> None:
+    """A part has one while its caller is compiled, and none if the caller's code is loaded."""
+    (tmp_path / "lengths.py").write_text(PARTS)
+    made = "import lengths as m; print([f._dispatcher is not None for f in (m.root, m.length)])"
+    code = f"{made}; m.length(3.0, 4.0); {made.partition('; ')[2]}"
+    for root in (True, False):
+        assert run(code, tmp_path) == f"[False, False]\n[{root}, True]\n"
+
+
+def test_threads_that_call_a_kernel_first_share_its_dispatcher() -> None:
+    @kernel
+    def half(x: float) -> float:
+        return 0.5 * x
+
+    with ThreadPoolExecutor(8) as threads:
+        dispatchers = {id(made) for made in threads.map(lambda _: half.dispatcher, range(64))}
+        assert set(threads.map(half, [3.0] * 64)) == {1.5}
+    assert len(dispatchers) == 1
+
+
+def test_wrong_arguments_are_reported_by_numba() -> None:
+    @kernel
+    def total(x: float, y: float) -> float:
+        return x + y
+
+    with pytest.raises(TypeError, match=r"not enough arguments: expected 2, got 1"):
+        total(1.0)
+    with pytest.raises(TypingError, match="Failed in nopython mode pipeline"):
+        total(1.0, "text")
+
+
+def test_a_kernel_presents_itself_as_its_function() -> None:
+    @kernel
+    def named(x: float, y: float) -> float:
+        """Say what it does."""
+        return x + y
+
+    assert (named.__name__, named.__doc__) == ("named", "Say what it does.")
+    assert list(inspect.signature(named).parameters) == ["x", "y"]
+    assert named.py_func(1.0, 2.0) == 3.0
+
+
+def test_without_compiling_a_kernel_is_its_function() -> None:
+    code = f"{PARTS}\nprint(type(length).__name__, length(3.0, 4.0))"
+    here = Path(impslam.__file__).parents[1]
+    assert fit(here, code, NUMBA_DISABLE_JIT="1").stdout == "function 5.0\n"
 
 
 def test_a_kernel_goes_to_another_process(tmp_path: Path) -> None:
@@ -234,7 +286,7 @@ def test_loaded_code_imports_no_compiler(tmp_path: Path) -> None:
         f"{FIT}; import sys;"
         "print('numba.np.arraymath' in sys.modules, 'scipy.linalg' in sys.modules);"
         "from impslam.geometry.circle_start import circle_start as g;"
-        "g(p, p, np.nan); print(g.stats.cache_hits.total())"
+        "g(p, p, np.nan); print(g.dispatcher.stats.cache_hits.total())"
     )
     for first in (True, False):
         said = subprocess.run(

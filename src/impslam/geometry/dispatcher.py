@@ -1,4 +1,4 @@
-"""A kernel that is called from Python, or compiled into another kernel."""
+"""What compiles a kernel: as a function of Python, or into another kernel."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _ENTRY = {"nopython": True, "nogil": True, "boundscheck": None, "no_cfunc_wrappe
 _PART = _ENTRY | {"no_cpython_wrapper": True}
 
 
-class Kernel(CPUDispatcher):
+class KernelDispatcher(CPUDispatcher):
     """Compiles a function for Python, and separately as a part of the kernels that call it.
 
     A part has no wrapper for Python and no machine code of its own, and is not cached; its caller is.

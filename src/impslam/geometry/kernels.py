@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
 from numba.core import config, event
+from numba.core.compiler_lock import global_compiler_lock
 
-from impslam.geometry.dispatcher import Kernel
+from impslam.geometry.dispatcher import KernelDispatcher
 from impslam.geometry.machine_code import MachineCode, warn_once
 
 _FLOAT64 = np.dtype(np.float64)
@@ -28,17 +30,57 @@ def compile_seconds() -> float:
 def kernel(function: F) -> F:
     """Compile a small function on plain arrays; the machine code is cached between runs.
 
-    No `fastmath`, so that results do not depend on how a compiler reorders sums, and no
-    `parallel`, whose compile time (5 s) does not pay off for these kernels.
+    Python passes arguments by position. No `fastmath`, so that results do not depend on how a compiler
+    reorders sums, and no `parallel`, whose compile time (5 s) does not pay off for these kernels.
     """
     if getattr(config, "DISABLE_JIT", False):  # by numba's environment variable
         return function
-    dispatcher: Any = Kernel(function)
+    return cast("F", Kernel(function))
+
+
+class Kernel:
+    """A function that is compiled when it is first called, or compiled into another kernel.
+
+    numba's dispatcher takes 0.15 ms to create. A run calls a sixth of the kernels that it imports, and the
+    cached machine code of these contains all that they call.
+    """
+
+    __slots__ = ("__dict__", "__weakref__", "_dispatcher")  # read faster than from the dictionary
+
+    def __init__(self, function: Callable[..., object]) -> None:
+        functools.update_wrapper(self, function)
+        self.py_func = function
+        self._dispatcher: Any = None
+
+    def __call__(self, *args: Any) -> Any:
+        """Call the function, compiled for the types of these arguments."""
+        return (self._dispatcher or self.dispatcher)(*args)
+
+    @property
+    def dispatcher(self) -> Any:
+        """The dispatcher of numba, created when it is first needed."""
+        with global_compiler_lock:  # two threads must not create one each
+            if self._dispatcher is None:
+                self._dispatcher = _make_dispatcher(self.py_func)
+        return self._dispatcher
+
+    @property
+    def _numba_type_(self) -> Any:
+        """The type that numba requests to compile a call by another kernel."""
+        return self.dispatcher._numba_type_
+
+    def __reduce__(self) -> Any:
+        """Pickle the dispatcher, which brings its function along, and is called in the same way."""
+        return self.dispatcher.__reduce__()
+
+
+def _make_dispatcher(function: Callable[..., object]) -> Any:
+    dispatcher: Any = KernelDispatcher(function)
     try:
         dispatcher._cache = MachineCode(function)  # what njit(cache=True) does with numba's own
     except RuntimeError:  # neither the package nor a cache folder is writable
         warn_once("no folder for compiled code can be written")
-    return cast("F", dispatcher)
+    return dispatcher
 
 
 def plain(array: npt.ArrayLike) -> npt.NDArray[np.float64]:

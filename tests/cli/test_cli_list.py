@@ -31,8 +31,9 @@ def test_one_role(imp, role) -> None:
 
 def test_presets_are_described_in_whole_sentences(imp) -> None:
     text = " ".join(imp("list", "presets").out.split())
-    assert "a SICK LMS that tells how bright echoes are, speed and steering." in text
+    assert "a SICK LMS that measures the brightness of echoes." in text
     assert "among barcodes. thesis-both" in text
+    assert "in each step (equation 2.23), also at rest." in text
 
 
 def test_default_unit_and_sentence(imp) -> None:

@@ -172,11 +172,9 @@ def _rows(found: Calibration, keep: Sequence[str]) -> Iterator[tuple[str, ...]]:
     from impslam.calibration.order_clock import MAX_DISORDER
 
     back = max(drive.disorder for drive in found.drives)
-    advice = (
-        ADVICE
-        if back <= MAX_DISORDER
-        else {**ADVICE, "latency": f"stamps run back by {back:.2f} s"}
-    )
+    advice = dict(ADVICE)
+    if back > MAX_DISORDER:
+        advice["latency"] = f"stamps run back by {back:.2f} s"
     for one in found.parameters:
         if one.observable:
             yield one.name, one.unit, "yes", *_rounded(one.sigma, one.before, one.value, one.sigma)

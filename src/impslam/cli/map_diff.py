@@ -31,7 +31,7 @@ def diff(
     after
         The later map.
     aligned
-        The maps share a frame. Default: align the later map with the earlier one.
+        The maps already share a frame. Default: align the later map with the earlier one.
     output
         PNG file to draw the changes to.
     json

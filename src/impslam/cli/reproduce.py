@@ -63,8 +63,8 @@ def reproduce(
 ) -> None:
     """Run experiments of the thesis and write their tables and figures to a folder.
 
-    The folder contains report.html, report.md, a PNG for each figure, figures.json with the numbers, and
-    a CSV file for each experiment that maps simulated drives, with a row for each run.
+    The folder contains report.html, report.md, a PNG or SVG for each figure, figures.json with the
+    numbers, and a CSV file for each experiment that maps simulated drives, with a row for each run.
 
     Parameters
     ----------

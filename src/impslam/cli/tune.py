@@ -37,8 +37,8 @@ class Search:
         --search odometry.noise.forward=0.01:0.3. Default: all noise of odometry and sensors, from a
         tenth to ten times the value in the config.
     score
-        Error against ground truth (truth) or relations, disagreement of the scans (quality), or
-        likelihood of the innovations, suited to noise. best: the first available of truth,
+        truth or relations: the error against them. quality: the disagreement of the scans.
+        likelihood: that of the innovations, suited to noise. best: the first available of truth,
         relations and quality.
     holdout
         Held-out logs: the result is scored on them, but the search does not use them.

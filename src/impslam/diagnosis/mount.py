@@ -42,15 +42,15 @@ def _turned(e: Evidence, yaw: float, off: float, sigma: float) -> Finding:
         f"the laser is turned by {math.degrees(yaw):.1f} ± {math.degrees(sigma):.1f} deg from the "
         f"direction in which the robot drives; its mount says {math.degrees(e.lidar.mount[2]):.1f} deg"
     )
-    faces_backward = abs(off) > math.radians(135.0)
+    advice = ""
+    if abs(off) > math.radians(135.0):
+        advice = "if the mount is right, odometry reports forward motion as backward"
     return Finding(
         "laser turned",
         what,
         (f"{e.lidar_key}.mount=[{x:.3f},{y:.3f},{yaw:.4f}]",),
         probability_off(off, sigma, YAW_TOLERANCE),
-        "if the mount is right, odometry reports forward motion as backward"
-        if faces_backward
-        else "",
+        advice,
         health=Standing(MISALIGNED, abs(math.degrees(off))),
     )
 

@@ -162,12 +162,11 @@ def _trimmed(
     points: Array, beams: Array, variances: Array, circle: Array, i: int, j: int
 ) -> tuple[int, int]:
     """Return [i, j) without the outermost points if they are outliers."""
-    a = i + 1 if _squared_error(points[i], beams[i], variances[i], circle) > _OUTLIER**2 else i
-    b = (
-        j - 1
-        if _squared_error(points[j - 1], beams[j - 1], variances[j - 1], circle) > _OUTLIER**2
-        else j
-    )
+    a, b, last = i, j, j - 1
+    if _squared_error(points[i], beams[i], variances[i], circle) > _OUTLIER**2:
+        a += 1
+    if _squared_error(points[last], beams[last], variances[last], circle) > _OUTLIER**2:
+        b -= 1
     return a, b
 
 

@@ -58,11 +58,9 @@ def facts(known: Map, image: MapImage, now: float) -> MapFacts:
     steps = np.diff(known.path()[:, 1:3], axis=0)
     steps = steps[np.diff(known.keyframes.sessions[known.anchors[known.placed()]]) == 0]
     closures = int(np.isfinite(known.edges.kernel).sum())
-    first, last = (
-        (float(known.stamps.min()), float(known.stamps.max()))
-        if len(known.stamps)
-        else (math.nan, math.nan)
-    )
+    first = last = math.nan
+    if len(known.stamps):
+        first, last = float(known.stamps.min()), float(known.stamps.max())
     return MapFacts(
         logs=tuple(str(log.get("log", "")) for log in logs_of(known)),
         scans=len(known.stamps),

@@ -77,11 +77,9 @@ def judge(support: Support, overlap: float = MIN_MATCHED) -> ClosureStrength:
     is_large = support.matched >= MIN_MATCHED and support.seen >= MIN_SEEN
     if support.agreement >= STRONG_SHARE:
         return ClosureStrength.STRONG if is_large else ClosureStrength.WEAK
-    return (
-        ClosureStrength.WEAK
-        if is_large and support.agreement >= WEAK_SHARE
-        else ClosureStrength.REFUSED
-    )
+    if is_large and support.agreement >= WEAK_SHARE:
+        return ClosureStrength.WEAK
+    return ClosureStrength.REFUSED
 
 
 def verify(known: SurfaceMap, reference: Submap, query: Submap, pose: Array) -> Support:

@@ -86,12 +86,11 @@ class Lidar2D(Sensor):
     @field_validator("extractors")
     @classmethod
     def _build_extractors(cls, tables: dict[str, Any]) -> dict[str, Extractor]:
-        return {
-            name: table
-            if isinstance(table, Extractor)
-            else build("extractor", table, f"sensors.*.extractors.{name}")
-            for name, table in tables.items()
-        }
+        extractors = dict(tables)
+        for name, table in tables.items():
+            if not isinstance(table, Extractor):
+                extractors[name] = build("extractor", table, f"sensors.*.extractors.{name}")
+        return extractors
 
     def spans(self, columns: Columns) -> tuple[Array, Array]:
         """Return the times of the first and last beams, (m,) s on the odometry's clock."""

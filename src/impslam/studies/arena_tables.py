@@ -156,9 +156,11 @@ def print_table(experiment: Experiment) -> ResultTable:
     """Return rotation about the start and excess distance of the printed positions."""
     positions = {name: (at, actual(name)) for name, at in experiment.printed.items()}
     columns: dict[str, Callable[[tuple[Sequence[float], Array]], str]] = {
-        "turned about the start, deg": lambda both: f"{math.degrees(turned(*both)):+.1f}",
-        "too far from it, m": lambda both: f"{too_far(*both):+.3f}",
-        "of its distance, %": lambda both: f"{100 * too_far(*both) / math.hypot(*both[1]):+.1f}",
+        "rotated about the start, deg": lambda both: f"{math.degrees(turned(*both)):+.1f}",
+        "too far from the start, m": lambda both: f"{too_far(*both):+.3f}",
+        "too far from the start, %": lambda both: (
+            f"{100 * too_far(*both) / math.hypot(*both[1]):+.1f}"
+        ),
     }
     return make_table(
         "What the printed positions have in common", positions, columns, NOTES["print"]
@@ -174,7 +176,7 @@ def interpretation_table(experiment: Experiment, readings: Groups) -> ResultTabl
         return f"{median:.3f}" if math.isfinite(median) else "missing"
 
     return make_table(
-        f"Other readings of the text, {len(next(iter(readings.values())))} seeds",
+        f"Other interpretations of the text, {len(next(iter(readings.values())))} seeds",
         readings,
         {
             f"end in m, {MEDIAN_95}": quantiles_of("end"),

@@ -40,14 +40,21 @@ def corridor(job: Job) -> Section:
     """Map the corridor with the default, and with the thesis's lines and each of its extractors."""
     world, seeds = [corridor_world()], range(job.seeds or SEEDS)
     rows = sweep(
-        VARIANTS, seeds[:THESIS_SEEDS], world, corridor_metrics, job, "map the corridor, every way"
+        VARIANTS,
+        seeds[:THESIS_SEEDS],
+        world,
+        corridor_metrics,
+        job,
+        "map the corridor, all variants",
     )
     default = [variant for variant in VARIANTS if variant.name == DEFAULT]
     rest = seeds[THESIS_SEEDS:]
     if rest:
         rows += sweep(default, rest, world, corridor_metrics, job, "map the corridor, the default")
     few = seeds[:READING_SEEDS]
-    others = sweep(READINGS, few, world, corridor_metrics, job, "read the thesis otherwise")
+    others = sweep(
+        READINGS, few, world, corridor_metrics, job, "map the corridor, other interpretations"
+    )
     runs, readings = by_variant(rows), by_variant(others)
     text = "\n\n".join(filter(None, (TEXT["text"], failures([*rows, *others]))))
     tables = [path_table(runs), map_table(runs), extractor_table(runs), reading_table(readings)]
@@ -94,7 +101,7 @@ def _count_within(rows: Rows, metric: str = "end") -> int:
 
 
 PATH: dict[str, Callable[[Rows], str]] = {
-    f"end, % of way, {MEDIAN_95}": _percent("end"),
+    f"end error, % of distance, {MEDIAN_95}": _percent("end"),
     f"within {100.0 * MAX_DRIFT} %": _within("end"),
     f"path RMS in m, {MEDIAN_95}": quantiles_of("ate"),
     "holds for m, median": lambda rows: f"{np.median([row['holds'] for row in rows]):.0f}",
@@ -125,7 +132,7 @@ def map_table(runs: Groups) -> ResultTable:
         return f"{seen['spurious'] / seen['scans']:.4f}"
 
     columns = {
-        "spurious walls a scan": spurious,
+        "spurious walls per scan": spurious,
         "landmarks ever": mean_of("landmarks_ever"),
         "people": mean_of("people_ever"),
         "false at first": mean_of("false_at_birth"),
@@ -140,8 +147,8 @@ def extractor_table(runs: Groups) -> ResultTable:
     counts = total_counts(runs[DEFAULT])
     scans = next(iter(counts.values()))["scans"]
     columns: dict[str, Callable[[dict[str, int]], str]] = {
-        "walls a scan": lambda seen: f"{seen['walls'] / scans:.2f}",
-        "spurious a scan": lambda seen: f"{seen['spurious'] / scans:.4f}",
+        "walls per scan": lambda seen: f"{seen['walls'] / scans:.2f}",
+        "spurious per scan": lambda seen: f"{seen['spurious'] / scans:.4f}",
         "% of walls": lambda seen: f"{100.0 * seen['spurious'] / max(seen['walls'], 1):.2f}",
         "% of scans with one": lambda seen: f"{100.0 * seen['scans_with_spurious'] / scans:.1f}",
         "of them people": lambda seen: f"{seen['of_people']}",
@@ -154,7 +161,7 @@ def reading_table(readings: Groups) -> ResultTable:
     """Return the table of errors of other interpretations of the thesis."""
     many = _seeds(next(iter(readings.values())))
     columns = PATH | {"landmarks ever": mean_of("landmarks_ever", ".0f")}
-    title = f"Other readings of the thesis's lines by Hough, {many}"
+    title = f"Other interpretations of the thesis's lines by Hough, {many}"
     return make_table(title, readings, columns, NOTES["readings"])
 
 

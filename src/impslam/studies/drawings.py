@@ -66,7 +66,7 @@ def _arrow(
 
 
 BOXES: dict[str, tuple[Point, str, bool]] = {
-    "wheels": ((0.0, 3.0), "2 encoders MA3\n0 to 5 V a turn", True),
+    "wheels": ((0.0, 3.0), "2 encoders MA3\n0 to 5 V per turn", True),
     "imu": ((0.0, 2.0), "IMU, magnetometer\nclimate", True),
     "motors": ((0.0, 1.0), "4 motors", True),
     "autopilot": ((3.0, 2.0), "autopilot\n(micro-controller)", True),

@@ -44,7 +44,7 @@ def detection_table(kind: str, scores: Scores, speeds: Speeds) -> ResultTable:
         "false/scan": per_scan("false"),
     }
     groups = {(label, condition): (label, condition) for label in speeds for condition in fastest}
-    title = f"{kind.capitalize()}s: what is found"
+    title = f"{kind.capitalize()}s: detection"
     return make_table(title, groups, columns, TEXT["detection"][kind], LABELS)
 
 
@@ -93,7 +93,7 @@ def accuracy_table(kind: str, scores: Scores) -> ResultTable:
         for condition, score in conditions.items()
     }
     columns = {header: cell(*metric) for header, metric in COLUMNS[kind].items()}
-    title = f"{kind.capitalize()}s: how well"
+    title = f"{kind.capitalize()}s: accuracy"
     return make_table(title, groups, columns, TEXT["accuracy"][kind], LABELS)
 
 

@@ -105,7 +105,7 @@ def _off(rows: Sequence[Row]) -> str:
 COLUMNS: dict[str, Callable[[Sequence[Row]], str]] = {
     "runs": lambda rows: str(len(rows)),
     **{verdict: _count(verdict) for verdict in VERDICTS},
-    "unsaid over 1 s": lambda rows: str(
+    "unreported over 1 s": lambda rows: str(
         sum(row.get("silent_seconds", 0.0) > MAX_SILENT for row in rows) or ""
     ),
     "off at worst [m]": _off,

@@ -213,7 +213,7 @@ def _table(data: str, scores: Mapping[str, FilterScore]) -> ResultTable:
         "position [m]": lambda s: number(s.position, ".3f" if s.position.value > 0.05 else ".4f"),
         "over the optimum": lambda s: number(s.over_optimum, ".3f"),
         "wrong matches [%]": lambda s: number(100.0 * s.wrong, ".1f"),
-        "ms a step": lambda s: number(s.milliseconds, ".2f"),
+        "ms per step": lambda s: number(s.milliseconds, ".2f"),
         "memory [MB]": lambda s: number(s.megabytes, ".0f"),
     }
     used = {name: cell for name, cell in columns.items() if any(cell(s) for s in scores.values())}

@@ -26,8 +26,8 @@ PAGE, MARKDOWN, NUMBERS = "report.html", "report.md", "figures.json"
 
 TITLE = "The thesis reproduced"
 ABOUT = (
-    "“Simultaneous Localization and Mapping on an Integrated Mobile Platform” (2015): its experiments "
-    "in the simulated arena beside its print, and what the default does."
+    "“Simultaneous Localization and Mapping on an Integrated Mobile Platform” (2015): its experiments in "
+    "simulation, with the results beside the printed ones, and those of the default."
 )
 
 T = TypeVar("T")

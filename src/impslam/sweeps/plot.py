@@ -81,8 +81,6 @@ def _label(axes: Axes, names: Sequence[str]) -> None:
 
 
 def _short(name: str) -> str:
-    return (
-        name
-        if len(name) <= MAX_LABEL
-        else f"{name[: MAX_LABEL // 2]}…{name[-MAX_LABEL // 2 + 1 :]}"
-    )
+    if len(name) <= MAX_LABEL:
+        return name
+    return f"{name[: MAX_LABEL // 2]}…{name[-MAX_LABEL // 2 + 1 :]}"

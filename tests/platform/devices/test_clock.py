@@ -1,14 +1,13 @@
 """A device's clock from delayed arrivals: accurate, and never backwards."""
 
 import math
-from collections import deque
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from impslam.platform.devices.clock import STALL_DELAY, DeviceClock, Unwrapper, lower_hull
+from impslam.platform.devices.clock import STALL_DELAY, DeviceClock, Unwrapper
 
 HOST = 1.79e9  # s
 LEAST = 0.5e-3  # s, the delay that is unobservable from one side
@@ -170,17 +169,6 @@ def test_the_clock_is_unknown_before_the_first_arrival():
     assert math.isinf(clock.sigma)
     with pytest.raises(RuntimeError, match="before something arrived"):
         clock.to_host(1.0)
-
-
-@given(st.lists(st.floats(-1.0, 1.0), min_size=1, max_size=40))
-def test_the_lower_hull_is_convex_and_below_all_points(heights):
-    points = deque((float(x), y) for x, y in enumerate(heights))
-    hull = lower_hull(points)
-    xs, ys = np.array(hull).T
-    assert np.all(np.interp(np.arange(len(points)), xs, ys) <= np.array(heights) + 1e-9)
-    if len(hull) > 2:
-        assert np.all(np.diff(np.diff(ys) / np.diff(xs)) >= -1e-9)
-    assert set(hull) <= set(points)
 
 
 def test_a_counter_is_unwrapped():

@@ -44,12 +44,11 @@ class MapsPanel(StoredPanel[StoredMap]):
         self.add_delete_button(one.name)
 
     def _start_action(self, name: str, *, frozen: bool) -> Callable[[], Awaitable[None]]:
-        act = "Localise" if frozen else "Go on"
-        question = (
-            f"Localise in {name}? It stays as it is."
-            if frozen
-            else f"Go on with {name}? It stays, and a new map grows from it."
-        )
+        if frozen:
+            act, question = "Localise", f"Localise in {name}? It stays as it is."
+        else:
+            act = "Go on"
+            question = f"Go on with {name}? It stays, and a new map grows from it."
         question += " Where the robot is in it is found while it drives."
 
         async def start() -> None:

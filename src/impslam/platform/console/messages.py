@@ -78,11 +78,9 @@ def check_opening(request: IncomingRequest, session: Session) -> Refusal | None:
         return Refusal(400, "a malformed socket")
     if len(fields) != len(given):
         return Refusal(400, "a malformed socket")
-    return (
-        None
-        if _may_address(query.client_id, session)
-        else Refusal(403, "a socket for another's page")
-    )
+    if not _may_address(query.client_id, session):
+        return Refusal(403, "a socket for another's page")
+    return None
 
 
 class MessageValidator:

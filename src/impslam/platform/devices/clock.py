@@ -15,10 +15,8 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from itertools import pairwise
-from typing import TypeAlias
 
-Point: TypeAlias = tuple[float, float]
+from impslam.platform.devices.lower_hull import Point, edge_at_mean
 
 BIN = 0.5  # s; only the earliest arrival of each bin is kept, as the edge lies on the early ones
 STALL_DELAY = 0.1  # s of delay above which the host (or the bus) counts as stalled
@@ -164,31 +162,16 @@ class DeviceClock:
 
     def _fit(self) -> None:
         """Fit the line below all points that is highest at their mean, with a slope of `max_drift`."""
-        middle = sum(x for x, _ in self._bins) / len(self._bins)
-        slope = max(-self._max_drift, min(self._max_drift, self._slope_at(middle)))
+        slope = max(-self._max_drift, min(self._max_drift, self._slope()))
         self._line = min(y - slope * x for x, y in self._bins), slope
 
-    def _slope_at(self, middle: float) -> float:
-        """Return the slope of the lower hull's edge at x, or the last slope if there is no edge."""
-        hull = lower_hull(self._bins)
-        for (x0, y0), (x1, y1) in pairwise(hull):
-            if x1 >= middle and x1 > x0:
-                return (y1 - y0) / (x1 - x0)
-        return self.drift
-
-
-def lower_hull(points: deque[Point]) -> list[Point]:
-    """Return the lower convex hull of points sorted by x (Andrew's monotone chain)."""
-    hull: list[Point] = []
-    for x, y in points:
-        while len(hull) > 1 and _is_not_convex(hull[-2], hull[-1], (x, y)):
-            hull.pop()
-        hull.append((x, y))
-    return hull
-
-
-def _is_not_convex(a: Point, b: Point, c: Point) -> bool:
-    return (b[0] - a[0]) * (c[1] - a[1]) <= (b[1] - a[1]) * (c[0] - a[0])
+    def _slope(self) -> float:
+        """Return the slope of the lower hull's edge at the mean, or the last slope if there is no edge."""
+        edge = edge_at_mean(self._bins)
+        if edge is None:
+            return self.drift
+        (x0, y0), (x1, y1) = edge
+        return (y1 - y0) / (x1 - x0)
 
 
 class Unwrapper:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
+from impslam.platform.devices.lower_hull import edge_at_mean
 from impslam.platform.devices.rplidar_protocol import Nodes
 from impslam.types import Array, LaserScan
 
@@ -129,7 +129,9 @@ class NodeClock:
         if len(points) < 4 or points[-1][1] - points[0][1] < 0.5 * RECENT_SPAN:
             return None
         zero, origin = points[-1]  # relative to the last point, for precision
-        (n0, t0), (n1, t1) = _lower_edge([(n - zero, t - origin) for n, t in points])
+        edge = edge_at_mean([(n - zero, t - origin) for n, t in points])
+        assert edge is not None  # numbers increase
+        (n0, t0), (n1, t1) = edge
         period = (t1 - t0) / (n1 - n0)
         return (origin + t0 - period * (n0 + zero), period) if period > 0.0 else None
 
@@ -137,21 +139,6 @@ class NodeClock:
         """Return the minimum delay of the recent arrivals, s."""
         since = self._points[-1][1] - RECENT_SPAN
         return min(t - begin - period * n for n, t in self._points if t > since)
-
-
-def _lower_edge(points: list[tuple[int, float]]) -> tuple[tuple[int, float], tuple[int, float]]:
-    """Return the edge of the lower convex hull at the mean abscissa of sorted points."""
-    hull: list[tuple[int, float]] = []
-    for point in points:
-        while len(hull) > 1 and _is_not_convex(hull[-2], hull[-1], point):
-            hull.pop()
-        hull.append(point)
-    mean = sum(n for n, _ in points) / len(points)
-    return next((a, b) for a, b in pairwise(hull) if b[0] >= mean)
-
-
-def _is_not_convex(a: tuple[int, float], b: tuple[int, float], c: tuple[int, float]) -> bool:
-    return (b[0] - a[0]) * (c[1] - a[1]) <= (b[1] - a[1]) * (c[0] - a[0])
 
 
 def laser_scan(

@@ -204,6 +204,16 @@ def test_odometry_is_handed_on_beside_the_motion(make):
     np.testing.assert_allclose(tracker.odometry, reckoned[-1], atol=1e-12)
 
 
+def test_a_log_with_a_scan_every_few_seconds_has_no_gaps(make):
+    """Odometry covers the time between the scans."""
+    motions, sweeps = driven()
+    slow = motions._replace(duration=50.0 * motions.duration, stamps=50.0 * motions.stamps)
+    tracks = list(make().follow(slow, sweeps))
+    found = [int(r) for track in tracks for r in track.reasons]
+    found += [key.reason for key in keyframes(tracks)]
+    assert found.count(SKIPPED) <= 1  # the first one, when nothing is usual yet
+
+
 def test_motion_during_a_gap_is_reported(make):
     motions, sweeps = driven()
     for seconds, distance, reason in ((10.0, 1.0, SKIPPED), (10.0, 0.0, NONE), (1.0, 1.0, NONE)):

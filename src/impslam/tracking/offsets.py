@@ -41,7 +41,9 @@ DISTANCE_MEMORY = 1.5
 """m of travel over which sideways motion is compared."""
 MIN_DISTANCE = 0.7
 """m of travel that the comparison needs: less may be a single wrong match."""
-MAX_STEP = (1.0, 0.3)
+MIN_STEPS = 6.0
+"""Matches that the comparison needs for its standard deviation to mean something."""
+MAX_STEP = (0.5, 0.3)
 """m, rad of motion between two matches beyond which they are not compared."""
 _CAPACITY = 64
 """Matches kept: more than those of a second, since a match follows 5 cm or 0.04 rad of motion."""
@@ -194,7 +196,8 @@ def _rotation(offsets: Offsets) -> float:
     """
     S = offsets.sideways
     det = S[0, 0] * S[1, 1] - S[0, 1] ** 2
-    if offsets.steps[1] < MIN_DISTANCE or not det > 1e-9 * S[0, 0]:
+    few = offsets.steps[0] < MIN_STEPS or offsets.steps[1] < MIN_DISTANCE
+    if few or not det > 1e-9 * S[0, 0]:
         return 0.0
     slope = (S[1, 1] * S[0, 2] - S[0, 1] * S[1, 2]) / det
     by_turn = (S[0, 0] * S[1, 2] - S[0, 1] * S[0, 2]) / det

@@ -74,9 +74,11 @@ USUAL_SHARE = 0.8
 """Inlier share of scans indoors; below, information falls with its fourth power: people, bushes, a ramp."""
 USUAL_RMS = 0.02
 """m, root mean square distance from the surfaces indoors; above, information falls with its square."""
-MEMORY = 0.3, 0.2, 0.01
+MEMORY = 0.3, 0.2, 0.01, 0.1
 """Weights of the newest scan in the running means of inlier share, of squared distance, and of the
-time between scans."""
+times between scans and between matches."""
+GAP_FACTOR = 3.0
+"""Times the mean time between matches that a gap in the data exceeds: some logs keep a scan every few s."""
 SPEED_SIGMA, RATE_SIGMA = 0.3, 0.6
 """m/s, rad/s: change of velocity from scan to scan for a robot without odometry: half of walking pace; 0.2
 to 0.5 m/s work equally well."""
@@ -123,8 +125,8 @@ class State(NamedTuple):
     velocity : (3,) motion between the last two matches
     prior : (2,) variances of the predicted pose: m^2 along each axis, rad^2
     unlocated : (1,) s since a scan last determined the velocity of a robot without odometry
-    averages : (3,) running means of the inlier share, of the squared distance, m^2, and of the time
-        between scans, s
+    averages : (4,) running means of the inlier share, of the squared distance, m^2, of the time
+        between scans, s, and of that between matches, s
     evidence : of the newest match
     faults : whether the newest scans fit the submaps
     lidar : the last scans of the lidar whose sweeps are followed
@@ -186,6 +188,8 @@ def follow(
                 if out.reasons[k] != UNEXPLAINED:
                     _add_to_submaps(features[:count], k, beams, state, settings)
             out.reference[k] = True
+            weight = MEMORY[3] if state.averages[3] > 0.0 else 1.0
+            state.averages[3] += weight * (state.travelled[2] - state.averages[3])
             state.matched[:] = state.pose
             state.motion[:], state.covariance[:], state.travelled[:] = 0.0, 0.0, 0.0
         else:
@@ -340,7 +344,8 @@ def _contradicts(beams: BeamColumns, k: int, state: State) -> bool:
 
     After a gap in the data, and after a scan that did, every such sweep does: the robot may be anywhere.
     """
-    if state.travelled[2] > WINDOW or state.faults.poor[0] > 0.0:
+    is_gap = state.travelled[2] > max(WINDOW, GAP_FACTOR * state.averages[3])
+    if is_gap or state.faults.poor[0] > 0.0:
         return True
     share = contradicted_share(
         beams.ranges[k], beams.valid[k], state.pose, older_map(state.submaps), state.lidar.ranges,

@@ -83,7 +83,7 @@ class ScanToMap(Tracker):
             velocity=np.zeros(3),
             prior=np.zeros(2),
             unlocated=np.zeros(1),
-            averages=np.array([USUAL_SHARE, USUAL_RMS**2, 0.1]),
+            averages=np.array([USUAL_SHARE, USUAL_RMS**2, 0.1, 0.0]),
             evidence=no_evidence(),
             faults=initial_faults(),
             lidar=_no_scans(0),

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from impslam.columns import Motions, Sweeps
+from impslam.geometry.kernels import kernel
 from impslam.health import COVERED, REPEATED, SKIPPED, Reasons
 from impslam.noise import MAX_GAP
 from impslam.sources.base import Problems
@@ -19,6 +21,10 @@ MAX_COVERED = 0.2
 """Share of the valid beams; if more are covered, this is a reason for degraded health."""
 MIN_MOTION = (0.2, 0.2)
 """m, rad: motion during a gap that matters."""
+GAP_FACTOR = 3.0
+"""Times the usual interval between sweeps that a gap exceeds: some logs keep a scan every few seconds."""
+MEMORY = 0.1
+"""Weight of the newest interval in the usual one: ten sweeps."""
 _REPEATED = (
     "the scan at {:.3f} s equals the one before bit for bit, although odometry has moved; it is left out: "
     "the lidar, its driver or the network hangs"
@@ -42,6 +48,9 @@ class Screening:
 
     def __init__(self) -> None:
         self._lidars: dict[str, tuple[StreamState, Cover]] = {}
+        self._intervals: dict[
+            str, Array
+        ] = {}  # usual interval between the sweeps of a sensor, (1,) s
 
     def screen(self, motions: Motions, sweeps: Sweeps, problems: Problems) -> Screened:
         """Screen the next sweeps of a sensor; `motions` are by odometry, before each."""
@@ -49,7 +58,8 @@ class Screening:
         reasons, amounts = np.zeros(m, np.int8), np.zeros(m)
         if sweeps.scans is not None:
             sweeps = self._screen_lidar(motions, sweeps, reasons, amounts, problems)
-        skipped = _skipped(motions)
+        usual = self._intervals.setdefault(sweeps.sensor, np.zeros(1))
+        skipped = _skipped(motions, usual)
         reasons[skipped], amounts[skipped] = SKIPPED, motions.duration[skipped]
         return Screened(sweeps, reasons, amounts)
 
@@ -84,10 +94,14 @@ class Screening:
         return state
 
 
-def _skipped(motions: Motions) -> Mask:
-    """Return which motions (m,) happened during a gap in the data."""
-    d_pose = motions.d_pose
-    moved = (np.hypot(d_pose[:, 0], d_pose[:, 1]) > MIN_MOTION[0]) | (
-        np.abs(d_pose[:, 2]) > MIN_MOTION[1]
-    )
-    return np.asarray((motions.duration > MAX_GAP) & moved)
+@kernel
+def _skipped(motions: Motions, usual: Array) -> Mask:
+    """Return which motions (m,) happened during a gap in the data; update the usual interval (1,) s."""
+    out = np.zeros(len(motions.stamps), np.bool_)
+    for k in range(len(out)):
+        x, y, turn = motions.d_pose[k]
+        moved = math.hypot(x, y) > MIN_MOTION[0] or abs(turn) > MIN_MOTION[1]
+        seconds = motions.duration[k]
+        out[k] = moved and seconds > max(MAX_GAP, GAP_FACTOR * usual[0])
+        usual[0] += (MEMORY if usual[0] > 0.0 else 1.0) * (seconds - usual[0])
+    return out

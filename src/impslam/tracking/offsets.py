@@ -3,7 +3,10 @@
 A mount that turned, or a clock that is late, leaves every scan in agreement with the map, so no single scan
 shows it. The motions do: a lidar turned by d reports a sideways motion of -sin(d) per metre ahead, and a
 lidar whose stamps are late reports each turn later than odometry. The turns of odometry are therefore
-correlated with those of the scans at several lags; the largest correlation is at the lag of the stamps.
+compared with those of the scans at several lags. At the lag of the stamps, their correlation is largest,
+and their squared differences are smaller than at small lags. Both are required: interpolation makes
+odometry less noisy between matches, which reduces the differences, and a window that ends in a turn has
+more of it at some lags, which increases the correlation.
 """
 
 from __future__ import annotations
@@ -24,7 +27,7 @@ MIN_LAG = 0.2
 """s: a smaller lag is tolerated; at walking pace it displaces the robot by 20 cm."""
 TURN_SIGMA = 0.005
 """rad: smallest error of a turn by scans."""
-MIN_LAG_EVIDENCE = 100.0
+MIN_LAG_EVIDENCE = 50.0
 """Difference of the sums of squares that the correlations make, in variances of a turn between matches: a
 turn at 0.5 rad/s shows 0.3 s with 130."""
 TURN_MEMORY = 3.0
@@ -166,14 +169,15 @@ def _heading(history: Array, first: int, end: int, time: float) -> float:
 @kernel
 def _lag(offsets: Offsets) -> float:
     """Return the lag of the scans in s; 0 if a lag below `MIN_LAG` is possible."""
-    best, tolerated = int(np.argmax(offsets.products)), -math.inf
+    products, errors = offsets.products, offsets.errors
+    best, tolerated, least = int(np.argmax(products)), -math.inf, math.inf
     for k in range(len(LAGS)):
         if abs(LAGS[k]) < MIN_LAG - 1e-9:
-            tolerated = max(tolerated, offsets.products[k])
-    variance = max(offsets.errors[best] / max(offsets.turns[0], 1.0), TURN_SIGMA**2)
-    certain = 2.0 * (offsets.products[best] - tolerated) > MIN_LAG_EVIDENCE * variance
-    is_peak = 0 < best < len(LAGS) - 1
-    return LAGS[best] if certain and is_peak else 0.0
+            tolerated, least = max(tolerated, products[k]), min(least, errors[k])
+    variance = max(errors[best] / max(offsets.turns[0], 1.0), TURN_SIGMA**2)
+    certain = 2.0 * (products[best] - tolerated) > MIN_LAG_EVIDENCE * variance
+    certain = certain and errors.min() < least
+    return LAGS[best] if certain and 0 < best < len(LAGS) - 1 else 0.0
 
 
 @kernel

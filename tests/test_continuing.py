@@ -140,6 +140,33 @@ def test_a_hint_tells_about_where_it_begins(drive, whole):
     assert np.abs(slam.pose[:2] - whole.path()[339, 1:3]).max() < 0.1
 
 
+def test_a_hint_shortens_the_drive_that_locates_a_session(drive, whole):
+    """Several closures are needed without one, and a single one with it."""
+    short = slice(170, 215)
+    for hint in (drive[0][170], drive[0][170, :2]):
+        known = mapped(drive, short, late=1000.0, known=whole, hint=hint)
+        assert known.keyframes.placed.all()
+    assert not mapped(drive, short, late=1000.0, known=whole).keyframes.placed.all()
+
+
+def test_a_hint_is_about_the_first_session_only(drive, whole):
+    """After the robot was carried, it is searched for everywhere."""
+    poses, ranges = drive
+    rows = np.concatenate([np.arange(170, 290), np.arange(20, 200)])
+    steps = between(poses[rows[:-1]], poses[rows[1:]])
+    steps[119] = 0.0
+    odometry = np.array(list(accumulate(steps, compose, initial=poses[170])))
+    slam = impslam.Slam("default", known=whole, hint=poses[170])
+    stamps = 1000.0 + 0.1 * np.arange(len(rows))
+    slam.add_odometry(stamps, odometry)
+    slam.add_scans(stamps, ranges[rows], ANGLES, range_max=20.0)
+    known = slam.finish()
+    assert known.keyframes.sessions.max() == 2
+    assert known.keyframes.placed.all()
+    off = np.hypot(*(known.path()[-100:] - whole.path()[100:200])[:, 1:3].T)
+    assert off.max() < 0.1
+
+
 def test_a_session_that_is_too_short_to_be_found_is_kept_apart(drive, whole):
     known = mapped(drive, slice(170, 190), late=1000.0, known=whole)
     n, k = len(whole.stamps), len(whole.keyframes)

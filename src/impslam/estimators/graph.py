@@ -195,9 +195,9 @@ class Graph(Estimator):
             return False
         guess = self._finder.find(keys, graph)
         if guess is not None:
-            pose, likely = guess
-            pose = compose(pose, between(keys.chain[-1], keys.chain[keys.nodes[node]]))
-            if self._closer.tie(Place(node, pose, likely), keys, graph):
+            pose = compose(guess.pose, between(keys.chain[-1], keys.chain[keys.nodes[node]]))
+            place = Place(node, pose, guess.likely, guess.hinted)
+            if self._closer.tie(place, keys, graph):
                 self._join_breaks()
                 return True
         if not self._may_use_odometry(node):

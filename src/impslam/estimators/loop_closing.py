@@ -79,11 +79,20 @@ class _Pending(NamedTuple):
 
 
 class Place(NamedTuple):
-    """A possible place of a node in the map: the best pose (3,), and whether it is likely."""
+    """A possible place of a node in the map.
+
+    Attributes
+    ----------
+    node : the node
+    pose : (3,) the best pose
+    likely : whether it is likely, among the places found
+    hinted : whether a user gave the area
+    """
 
     node: int
     pose: Array
     likely: bool
+    hinted: bool
 
 
 class _Attempt(NamedTuple):
@@ -134,7 +143,7 @@ class LoopCloser:
 
         Return whether the session is joined. That takes `MIN_TIES` consecutive closures that agree: the
         robot may be outside the map, where other rooms and corridors look similar. A place elsewhere, or
-        one that cannot be verified, starts the count again.
+        one that cannot be verified, starts the count again. In an area that a user gave, one is enough.
         """
         if not all(_is_consistent(tie, place, graph) for tie in self._ties):
             self._ties = []
@@ -145,7 +154,7 @@ class LoopCloser:
             self._ties = []
         if new is not None:
             self._ties.append(new)
-        if len(self._ties) < MIN_TIES:
+        if len(self._ties) < (1 if place.hinted else MIN_TIES):
             return False
         for tie in self._ties:
             _add(tie, graph)

@@ -6,7 +6,7 @@ of the graph verifies it, and accepts it once several agree.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -24,19 +24,24 @@ MIN_ODDS = 0.98  # among the places found; the search may have missed others
 HINT_DRIFT = 0.1  # m/m, drift since the hinted place
 
 
+class Guess(NamedTuple):
+    """A possible pose (3,) in the map, whether it is likely, and whether a user gave the area."""
+
+    pose: Array
+    likely: bool
+    hinted: bool
+
+
 class SessionFinder:
     """Locates pending sessions; `hint` (3,) or (2,) is the approximate start of the first one."""
 
     def __init__(self, hint: Array | None = None) -> None:
-        self._hint = hint
+        self._hint, self._hinted = hint, -1
         self._session = -1
         self._map: Relocaliser | None = None
 
-    def find(self, keys: KeyframeLog, graph: PoseGraph) -> tuple[Array, bool] | None:
-        """Return a guess of the newest keyframe's pose (3,) in the map, and whether it is likely.
-
-        None without a guess.
-        """
+    def find(self, keys: KeyframeLog, graph: PoseGraph) -> Guess | None:
+        """Return a guess of the newest keyframe's pose in the map, if there is one."""
         from impslam.recognition.relocalisation import (  # noqa: PLC0415  few runs need it
             Relocaliser,
             query,
@@ -54,17 +59,19 @@ class SessionFinder:
             placed = np.flatnonzero(graph.roots[keys.node_before] == 0)
             self._map = Relocaliser(keys.keyframes(revised(keys, graph), placed))
         poses = keys.chain[[row for row, view in zip(rows, views, strict=True) if view is not None]]
-        answer = self._map.find_query(query(scans, poses), self._near(keys))
+        near = self._near(keys)
+        answer = self._map.find_query(query(scans, poses), near)
         if not answer.hypotheses:
             return None
         best = answer.hypotheses[0]
-        return best.pose, best.odds >= MIN_ODDS
+        return Guess(best.pose, best.odds >= MIN_ODDS, near is not None)
 
     def _near(self, keys: KeyframeLog) -> Near | None:
         """Return the area of the newest keyframe according to the hint, if there is one."""
         from impslam.recognition.relocalisation import Near  # noqa: PLC0415
 
-        if self._hint is None:
+        self._hinted = self._session if self._hinted < 0 else self._hinted
+        if self._hint is None or self._session != self._hinted:
             return None
         first = int(np.searchsorted(keys.sessions, keys.sessions[-1]))
         motion = between(keys.chain[first], keys.chain[-1])

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 from tests import log_faults as faults
 
-from impslam.columns import Batch, batches
+from impslam.columns import Batch, Columns, batches
 from impslam.config import load
 from impslam.diagnosis.diagnose import SCANS, diagnose
 from impslam.diagnosis.finding import Finding
@@ -75,8 +75,17 @@ class Log:
     @property
     def range_max(self) -> float:
         """Return the limit of ranges, of the config and the messages, m."""
-        scans = (c for batch in self.batches for c in batch.values() if c.kind is LaserScan)
-        return float(np.fmin(self.lidar.range_max, next(scans)["range_max"]))
+        return float(np.fmin(self.lidar.range_max, self.first_scans["range_max"]))
+
+    @property
+    def sweep(self) -> float:
+        """Return the duration of a sweep, s."""
+        return float(self.first_scans["time_offsets"].max())
+
+    @property
+    def first_scans(self) -> Columns:
+        """Return the first rows of the lidar."""
+        return next(c for batch in self.batches for c in batch.values() if c.kind is LaserScan)
 
     @property
     def lidar(self):
@@ -100,12 +109,14 @@ class Fault:
     """Whether the preset must contain the mount."""
     unsmoothed: bool = False
     """Whether the preset must leave stamps as they are."""
+    sweeps: bool = False
+    """Whether the lidar must measure its beams one after the other."""
     back: bool = False
     """Whether the drive must go back again."""
 
     def applies_to(self, log: Log) -> bool:
         given = "mount" in next(iter(load(log.preset).sensors.values()))
-        if self.unsmoothed and log.lidar.period:
+        if (self.unsmoothed and log.lidar.period) or (self.sweeps and not log.sweep):
             return False
         return log.odometry.name in self.needs and (given or not self.mounted)
 
@@ -157,6 +168,8 @@ def of_stamps() -> Iterator[Fault]:
         yield Fault(name, f"{s} s", (name,), change, unsmoothed=True)
     for s in (0.5, 60.0):
         yield Fault("sweep too long", f"{s:g} s", ("sweep too long",), partial(faults.sweep_of, s))
+    name = "sweep reversed"
+    yield Fault(name, "", (name,), faults.reversed_sweep, sweeps=True)
 
 
 def of_odometry() -> Iterator[Fault]:

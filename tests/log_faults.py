@@ -99,6 +99,16 @@ def sweep_of(seconds: float) -> Change:
     return of(LaserScan, change)
 
 
+def reversed_sweep() -> Change:
+    """Reverse the beams, but not their times, as a driver does for a lidar that spins clockwise."""
+
+    def change(c: Columns) -> Columns:
+        backward = {n: c[n][..., ::-1] for n in ("ranges", "intensities") if c[n] is not None}
+        return with_layout(with_values(c, **backward), angles=c["angles"][::-1])
+
+    return of(LaserScan, change)
+
+
 # --------------------------------------------------------------------------- wheels
 
 

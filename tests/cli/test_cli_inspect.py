@@ -118,12 +118,26 @@ def test_json(imp, room) -> None:
     assert facts["problems"] == facts["findings"] == []
 
 
-def test_a_finding_and_its_setting(imp, tmp_path) -> None:
-    """A drive of the arena read with another robot's wheels: named by inspect and by the run itself."""
+def write_arena(folder) -> None:
     messages = simulate(load_world("arena"), seed=0)
-    with McapWriter(tmp_path / "arena.mcap", "imp") as writer:
+    with McapWriter(folder / "arena.mcap", "imp") as writer:
         for message in islice(messages, 12_000):
             writer.write(message)
+
+
+def test_a_sweep_in_the_wrong_order_is_named_before_a_run(imp, tmp_path) -> None:
+    write_arena(tmp_path)
+    wrong = "--set", "sensors.lidar.last_beam_first=true"
+    problem = "problem: sweep reversed: the first beam of a scan was measured first: "
+    for command in (("inspect",), ("run", "-o", tmp_path / "run")):
+        words = " ".join(imp(*command, tmp_path / "arena.mcap", *wrong).out.split())
+        assert problem in words
+        assert "--set sensors.lidar.last_beam_first=false" in words
+
+
+def test_a_finding_and_its_setting(imp, tmp_path) -> None:
+    """A drive of the arena read with another robot's wheels: named by inspect and by the run itself."""
+    write_arena(tmp_path)
     wrong = "odometry.wheel_radius=0.11", "odometry.track=0.693"
     settings = [word for one in wrong for word in ("--set", one)]
     said = imp("inspect", tmp_path / "arena.mcap", *settings).out

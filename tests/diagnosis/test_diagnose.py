@@ -23,6 +23,9 @@ def drive() -> list[Batch]:
     return list(batches((type(message).__name__, message) for message in messages))
 
 
+MATCHED = "tracker.kind=scan_to_map"
+
+
 def found(drive: Iterable[Batch], *settings: str):
     return diagnose(load("imp", settings), drive, {})
 
@@ -45,6 +48,12 @@ CASES = {
     "astern": (faults.turned(3.14159), (), "laser turned"),
     "ranges 10 % short": (faults.scaled_ranges(0.9), (), "ranges scale"),
     "late": (faults.late(0.2), (), "stamps late"),
+    "sweep reversed": (faults.reversed_sweep(), (), "sweep reversed"),
+    "sweep not reversed": (
+        faults.nothing(),
+        ("sensors.lidar.last_beam_first=true",),
+        "sweep reversed",
+    ),
     "standing": (faults.standing(), (), "odometry stands still"),
     "track": (faults.nothing(), ("odometry.track=0.46",), "track"),
     "radius": (faults.nothing(), ("odometry.wheel_radius=0.08",), "wheel radius"),
@@ -113,6 +122,28 @@ def test_tolerable_error_is_not_harmful(drive) -> None:
     settings = "tracker.kind=scan_to_map", "odometry.track=0.42"
     (only,) = found(drive, *settings)
     assert (only.kind, only.harmful) == ("track", False)
+
+
+@pytest.mark.parametrize("late", [-0.3, 0.3])
+def test_a_reversed_sweep_is_found_whatever_the_lag(drive, late) -> None:
+    both = list(faults.faulty(faults.faulty(drive, faults.reversed_sweep()), faults.late(late)))
+    problems = harm(both)
+    assert list(problems) == ["sweep reversed", "stamps late"]
+    fixes = [setting for one in problems.values() for setting in one.fix]
+    assert harm(both, *fixes) == {}
+
+
+@pytest.mark.parametrize(
+    "settings", [("sensors.lidar.deskew=false",), ("odometry.kind=lidar_only", MATCHED)]
+)
+def test_the_order_of_beams_is_not_looked_for_where_nothing_is_deskewed(drive, settings) -> None:
+    wrong = faults.faulty(drive, faults.reversed_sweep())
+    assert "sweep reversed" not in [one.kind for one in found(wrong, *settings)]
+
+
+def test_sweeps_without_turns_do_not_show_the_order_of_beams(drive) -> None:
+    still = [batch for batch in drive if all((c.stamps < 3.0).all() for c in batch.values())]
+    assert found(faults.faulty(still, faults.reversed_sweep())) == []
 
 
 def test_dead_sector(drive) -> None:

@@ -12,6 +12,10 @@ from impslam.columns import Sweeps
 from impslam.extractors.base import Extractor
 from impslam.geometry.se2 import compose, exp, inverse, transform
 from impslam.sensors.lidar2d import Lidar2D
+from impslam.simulation import robot as simulated
+from impslam.simulation.lidar import LidarSimulator
+from impslam.simulation.scene import Scene, distance_to_segments
+from impslam.simulation.world import load_world
 from impslam.types import LaserScan, Observation
 
 STILL = np.zeros(3)
@@ -39,11 +43,12 @@ def test_mount_carries_points_into_base_link(upside_down):
     np.testing.assert_allclose(scan.origins, np.tile(mount[:2], (3, 1)))
 
 
+@pytest.mark.parametrize("last_beam_first", [False, True])
 @pytest.mark.parametrize("direction", [1, -1])
 @pytest.mark.parametrize(
     "twist", [[0.5, 0.0, 1.2], [2.8, 0.1, -2.0], [1.0, 0.0, 0.0], [0, 0, 1e-5]]
 )
-def test_deskew_puts_a_moving_robots_points_where_they_are(twist, direction):
+def test_deskew_puts_a_moving_robots_points_where_they_are(twist, direction, last_beam_first):
     """A world of points, each seen at its own time from its own place."""
     rng, twist = np.random.default_rng(1), np.array(twist)
     mount, world = np.array([0.145, 0.02, -0.3]), rng.uniform(-5, 5, (200, 2))
@@ -54,12 +59,56 @@ def test_deskew_puts_a_moving_robots_points_where_they_are(twist, direction):
         seen = transform(inverse(compose(exp((t - middle) * twist), mount)), point[None])[0]
         angles[i], ranges[i] = math.atan2(seen[1], seen[0]), math.hypot(*seen)
     order = slice(None, None, direction)
-    message = LaserScan(0.0, angles[order], ranges[order], offsets[order])
-    scan = observe(Lidar2D(mount=tuple(mount)), message, twist)
+    given = (offsets[-1] - offsets if last_beam_first else offsets)[order]
+    message = LaserScan(0.0, angles[order], ranges[order], given)
+    lidar = Lidar2D(mount=tuple(mount), last_beam_first=last_beam_first)
+    scan = observe(lidar, message, twist)
     np.testing.assert_allclose(scan.points, world[order], atol=1e-9)
-    skewed = observe(Lidar2D(mount=tuple(mount), deskew=False), message, twist)
     if np.abs(twist).max() > 0.1:
-        assert np.abs(skewed.points - world[order]).max() > 1e-3
+        for wrong in ({"deskew": False}, {"last_beam_first": not last_beam_first}):
+            skewed = observe(lidar.model_copy(update=wrong), message, twist)
+            assert np.abs(skewed.points - world[order]).max() > 1e-3
+
+
+class Circle:
+    """A drive on a circle."""
+
+    twist = np.array([0.3, 0.0, 1.5])
+
+    def at(self, times):
+        return compose(np.array([1.0, 1.0, 0.4]), exp(times[:, None] * self.twist))
+
+
+@pytest.mark.parametrize("last_beam_first", [False, True])
+def test_beams_of_a_turning_drive_end_on_the_walls(last_beam_first):
+    """Whichever end of a message was measured first; in the other order, they do not."""
+    scene, perfect, path = Scene(load_world("room")), simulated.Lidar.perfect(), Circle()
+    simulator = LidarSimulator(perfect, scene, path, np.random.default_rng(0))
+    order = slice(None, None, -1 if last_beam_first else 1)
+    lidar = Lidar2D(mount=perfect.mount, last_beam_first=last_beam_first)
+    other = lidar.model_copy(update={"last_beam_first": not last_beam_first})
+    for begin in np.arange(0.0, 4.0, 0.5):
+        angles, ranges = simulator.angles[order], simulator.ranges(begin)[order]
+        message = LaserScan(begin, angles, ranges, simulator.time_offsets, *simulator.limits)
+        middle = path.at(np.array([begin + 0.5 * simulator.duration]))[0]
+        right, wrong = (
+            distances(observe(one, message, path.twist), middle, scene) for one in (lidar, other)
+        )
+        assert right.max() < 1e-9
+        assert np.median(wrong) > 1e-3
+
+
+def distances(scan, pose, scene):
+    """Return the distances of some of the points of a scan from the world."""
+    return np.array(
+        [
+            min(
+                distance_to_segments(point, scene.segments).min(),
+                np.abs(np.hypot(*(scene.circles[:, :2] - point).T) - scene.circles[:, 2]).min(),
+            )
+            for point in transform(pose, scan.points[scan.valid][::20])
+        ]
+    )
 
 
 def test_origins_and_directions_lead_to_the_points():
@@ -147,14 +196,15 @@ class Whole(Extractor):
         return [Observation("point", np.zeros(2), np.eye(2), beams)]
 
 
-def test_an_observation_has_the_time_of_its_beams():
-    lidar = Lidar2D(extractors={"all": Whole()})
+@pytest.mark.parametrize(("last_beam_first", "way"), [(False, 1.0), (True, -1.0)])
+def test_an_observation_has_the_time_of_its_beams(last_beam_first, way):
+    lidar = Lidar2D(extractors={"all": Whole()}, last_beam_first=last_beam_first)
     columns = stacked([sweep(np.ones(4), rate=0.01)])
     empty = np.zeros((1, 3))
     scans = lidar.sweeps(columns, empty)
     sweeps = Sweeps("lidar", columns, np.zeros(1), empty, empty, np.zeros((1, 3, 3)), scans)
     (seen,) = lidar.observe(sweeps, 0, np.random.default_rng(0))
-    assert seen.delay == pytest.approx(0.025 - 0.015)
+    assert seen.delay == pytest.approx(way * (0.025 - 0.015))
 
 
 @pytest.mark.parametrize(

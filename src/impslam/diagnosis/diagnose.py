@@ -8,6 +8,7 @@ from impslam.calibration.recording import record_batches
 from impslam.columns import Batch
 from impslam.config import Config
 from impslam.diagnosis.beams import check_beams
+from impslam.diagnosis.direction import check_direction
 from impslam.diagnosis.evidence import gather_evidence
 from impslam.diagnosis.finding import Finding, worst_health
 from impslam.diagnosis.handedness import check_handedness
@@ -34,7 +35,8 @@ MIN_SCANS = 50
 ROOT_CHECKS = (check_overlap, check_wrap, check_preset)
 """The faults that these find would cause findings of the other checks."""
 CHECKS = (
-    check_handedness, check_stamps, check_odometry, check_scales, check_mount, check_beams,
+    check_handedness, check_direction, check_stamps, check_odometry, check_scales, check_mount,
+    check_beams,
 )  # fmt: skip
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from impslam.calibration.lidar_path import lidar_path
+from impslam.calibration.lidar_path import LidarPath, lidar_path
 from impslam.calibration.recording import CalibrationRows, first_lidar
 from impslam.columns import Columns
 from impslam.config import Config
@@ -31,7 +31,8 @@ class Evidence:
     ----------
     config, name, lidar, odometry : the config, its first lidar with its name, its odometry
     recording : the rows of the log
-    sweep_motions : motion by the lidar alone, with stamps as received
+    path : the lidar's path by its scans alone
+    sweep_motions : the motions along it, with stamps as received
     timing : when scans were taken
     times : (k, 2) s, begin and end of stretches on the odometry's clock, where both are known
     lidar_motion, odometry_motion : (k, 3) twists over the stretches, of the laser and of base_link
@@ -45,6 +46,7 @@ class Evidence:
     lidar: Lidar2D
     odometry: Odometry
     recording: CalibrationRows
+    path: LidarPath
     sweep_motions: SweepMotions
     timing: Timing
     times: Array
@@ -79,7 +81,8 @@ def gather_evidence(config: Config, recording: CalibrationRows) -> Evidence:
     """Compare the lidar's motions in a recording with odometry; the config must have a lidar."""
     robot = config.make_robot()
     name, lidar = first_lidar(config)
-    sweeps = sweep_motions(lidar_path(lidar, recording.scans))
+    path = lidar_path(lidar, recording.scans)
+    sweeps = sweep_motions(path)
     odometer = make_odometer(
         robot.odometry, recording.odometry if robot.odometry.measures_motion else ()
     )
@@ -99,8 +102,8 @@ def gather_evidence(config: Config, recording: CalibrationRows) -> Evidence:
             axle_motion = motion_along(lidar_motion, axis.angle)
             agreement = fit_agreement(axle_motion, odometry_motion)
     return Evidence(
-        config, name, lidar, robot.odometry, recording, sweeps, timing, times, lidar_motion,
-        odometry_motion, axis, axle_motion, agreement,
+        config, name, lidar, robot.odometry, recording, path, sweeps, timing, times,
+        lidar_motion, odometry_motion, axis, axle_motion, agreement,
     )  # fmt: skip
 
 

@@ -61,6 +61,11 @@ class Lidar2D(Sensor):
         le=60,
     )
     deskew: bool = parameter(True, "", "undo the robot's motion during the sweep")
+    last_beam_first: bool = parameter(
+        False,
+        "",
+        "the last beam of a scan was measured first: for drivers that reverse the beams, not their times",
+    )
     latency: float = parameter(
         0.0, "s", "delay from the first beam of a scan to its stamp, on the odometry's clock"
     )
@@ -102,6 +107,11 @@ class Lidar2D(Sensor):
         """Return the duration of a sweep, s."""
         return float(time_offsets.max(initial=0.0)) if self.deskew else 0.0
 
+    def _after_middle(self, time_offsets: Array) -> Array:
+        """Return the times (n,) of the beams after the middle of a sweep, s."""
+        after = time_offsets - 0.5 * self._sweep(time_offsets)
+        return -after if self.last_beam_first else after
+
     def usable(self, columns: Columns) -> Mask:
         """Return (m,) which rows have beams: all or none."""
         return np.full(len(columns), len(columns["angles"]) > 0)
@@ -112,12 +122,11 @@ class Lidar2D(Sensor):
 
     def sweeps(self, columns: Columns, twists: Array) -> Scans:
         """Return the scans: validated, calibrated, mounted, de-skewed."""
-        angles, offsets = plain(columns["angles"]), plain(columns["time_offsets"])
+        angles, after = plain(columns["angles"]), self._after_middle(plain(columns["time_offsets"]))
         low, high = self._limits(columns)
-        beams = np.column_stack((angles, offsets - 0.5 * self._sweep(offsets)))
         parts = deskew_sweeps(
             plain(columns["ranges"]),
-            beams,
+            np.column_stack((angles, after)),
             self.in_field(angles),
             twists if self.deskew else np.zeros_like(twists),
             np.array([*self.mount, -1.0 if self.upside_down else 1.0]),
@@ -148,11 +157,11 @@ class Lidar2D(Sensor):
         """Return the extracted landmarks of a scan, with the time at which their beams were fired."""
         scan, offsets = sweeps.scan(k), sweeps.columns["time_offsets"]
         assert scan is not None
-        middle = 0.5 * self._sweep(offsets)
+        middle, way = 0.5 * self._sweep(offsets), -1.0 if self.last_beam_first else 1.0
         return tuple(
             o.of_sensor(
                 sweeps.sensor,
-                float(offsets[o.beams].mean()) - middle if middle and len(o.beams) else 0.0,
+                way * (float(offsets[o.beams].mean()) - middle) if middle and len(o.beams) else 0.0,
             )
             for extractor in self.extractors.values()
             for o in extractor.extract(scan, rng)

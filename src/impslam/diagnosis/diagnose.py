@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
-from impslam.calibration.recording import record_batches
+from impslam.calibration.recording import first_lidar, record_batches
 from impslam.columns import Batch
 from impslam.config import Config
 from impslam.diagnosis.beams import check_beams
 from impslam.diagnosis.direction import check_direction
-from impslam.diagnosis.evidence import gather_evidence
+from impslam.diagnosis.evidence import Evidence, gather_evidence
 from impslam.diagnosis.finding import Finding, worst_health
 from impslam.diagnosis.handedness import check_handedness
 from impslam.diagnosis.head import Head
@@ -41,7 +41,10 @@ CHECKS = (
 
 
 def diagnose(
-    config: Config, batches: Iterable[Batch], defaults: Mapping[type[Message], str]
+    config: Config,
+    batches: Iterable[Batch],
+    defaults: Mapping[type[Message], str],
+    checks: Sequence[Callable[[Evidence], Iterable[Finding]]] = CHECKS,
 ) -> list[Finding]:
     """Return the differences between the data of a log and its config, harmful ones first.
 
@@ -53,7 +56,7 @@ def diagnose(
     for check in ROOT_CHECKS:
         if roots := list(check(evidence)):
             return roots
-    findings = [finding for check in CHECKS for finding in check(evidence)]
+    findings = [finding for check in checks for finding in check(evidence)]
     return sorted(findings, key=lambda finding: not finding.harmful)
 
 
@@ -66,7 +69,8 @@ def first_look(config: Config, source: Source) -> list[Finding]:
         pass
     if head.scans < MIN_SCANS:
         return []
-    return [one for one in diagnose(config, head.batches, source.defaults()) if one.harmful]
+    found = diagnose(config, head.batches, source.defaults(), _quick_checks(config))
+    return [one for one in found if one.harmful]
 
 
 def first_health(config: Config, source: Source) -> Standing:
@@ -78,6 +82,16 @@ def first_health(config: Config, source: Source) -> Standing:
 def unread_copy(source: Source) -> Source:
     """Return another source of the same log with the same settings, still at its beginning."""
     return type(source)(**{name: getattr(source, name) for name in type(source).model_fields})
+
+
+def _quick_checks(config: Config) -> Sequence[Callable[[Evidence], Iterable[Finding]]]:
+    """Return the checks before a run.
+
+    The order of the beams takes half a second to check. A config that states the duration of a sweep was
+    made for the driver that recorded the log.
+    """
+    _, lidar = first_lidar(config)
+    return CHECKS if lidar.period == 0.0 else [c for c in CHECKS if c is not check_direction]
 
 
 def _has_lidar(config: Config) -> bool:

@@ -70,6 +70,11 @@ def test_robot_laser_lines_contain_their_angles(tmp_path: Path) -> None:
     assert not source.problems.counts
 
 
+def test_a_largest_range_of_zero_is_unset(tmp_path: Path) -> None:
+    found, _ = read(log(tmp_path, robot_laser(1.0).replace(" 81.9 ", " 0 ")))
+    assert [math.isnan(m.range_max) for m in found if isinstance(m, LaserScan)] == [True]
+
+
 def test_the_rear_laser_is_left_out_by_default(tmp_path: Path) -> None:
     path = log(tmp_path, flaser(1.0, [2.0] * 180, "RLASER"), flaser(1.0))
     assert [len(read(path)[0]), len(read(path, laser="RLASER")[0])] == [2, 2]

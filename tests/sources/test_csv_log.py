@@ -104,6 +104,14 @@ def test_what_rostopic_echo_writes(tmp_path: Path) -> None:
     assert (scan.range_min, scan.range_max) == (0.1, 8.0)
 
 
+def test_limits_that_no_range_can_keep_are_unset(tmp_path: Path) -> None:
+    """Drivers that do not know their lidar write a range_max of 0."""
+    (scan,) = messages(tmp_path, "stamp,range_min,range_max,0,1,2", "1,0.15,0,1,2,3")
+    assert isinstance(scan, LaserScan)
+    assert math.isnan(scan.range_min)
+    assert math.isnan(scan.range_max)
+
+
 def test_rows_may_contain_odometry_or_a_scan_only(tmp_path: Path) -> None:
     rows = ["stamp,left,right,0,1,2", "1,1,2,,,", "2,,,1,2,3", "3,1,2,1,2,3", "# no row", ""]
     assert [(m.stamp, type(m)) for m in messages(tmp_path, *rows)] == [

@@ -20,7 +20,15 @@ from impslam.sources.base import Stream
 from impslam.sources.csv_columns import CsvCells, CsvLayout, Role, layout
 from impslam.sources.parts import LocatedMessage
 from impslam.sources.text import TextSource, beam_angles, beam_times, check_finite, head
-from impslam.types import Array, LaserScan, Message, OdometryPose, Velocity, WheelAngles
+from impslam.types import (
+    Array,
+    LaserScan,
+    Message,
+    OdometryPose,
+    Velocity,
+    WheelAngles,
+    range_limits,
+)
 
 SEPARATORS = (b",", b";", b"\t")
 MIN_COLUMNS = 4  # a stamp and three ranges
@@ -172,7 +180,7 @@ def _scan(values: Array, found: CsvLayout, stamp: float) -> Iterator[LaserScan]:
         _value(values, found.cells[role]) if role in found.cells else math.nan
         for role in ("range_min", "range_max")
     )
-    yield LaserScan(stamp, angles, ranges, beam_times(len(ranges)), low, high)
+    yield LaserScan(stamp, angles, ranges, beam_times(len(ranges)), *range_limits(low, high))
 
 
 def _numbers(cells: list[bytes], used: list[int], width: int) -> Array:

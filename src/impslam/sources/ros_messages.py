@@ -25,6 +25,7 @@ from impslam.types import (
     SatelliteFix,
     TruePose,
     WheelAngles,
+    range_limits,
 )
 
 Joints: TypeAlias = tuple[int, int]
@@ -63,9 +64,7 @@ def _scan(message: RosMessage, stamp: float, ranges: Any, intensities: Any) -> L
     check_finite("angle_min, angle_increment or time_increment", start, step, wait)
     if n == 0:
         raise MessageError("the scan has no ranges")
-    low, high = float(message.range_min), float(message.range_max)
-    if low == high == 0.0:  # unset
-        low = high = math.nan
+    low, high = range_limits(float(message.range_min), float(message.range_max))
     angles, times = beam_angles(n, start, step), beam_times(n, wait)
     intensities = None if intensities is None else _float64(intensities)
     return LaserScan(stamp, angles, _float64(ranges), times, low, high, intensities)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from tests import log_faults as faults
 
-from impslam.columns import Batch, batches
+from impslam.columns import Batch, Columns, batches
 from impslam.config import load
 from impslam.diagnosis.diagnose import diagnose
 from impslam.diagnosis.finding import worst_health
@@ -101,6 +101,16 @@ def test_fault_is_found_and_its_settings_fix_it(drive, name: str) -> None:
     assert list(problems) == [kind]
     assert problems[kind].sure > 0.99 or problems[kind].advice
     assert harm(wrong, *settings, *problems[kind].fix) == {}
+
+
+def test_a_lost_scan_is_no_long_sweep(drive) -> None:
+    """A driver that measures the time of a revolution doubles it when it loses one."""
+    lost = iter([True])
+
+    def change(c: Columns) -> Columns:
+        return faults.with_layout(c, time_offsets=(1.0 + next(lost, 0.0)) * c["time_offsets"])
+
+    assert found(list(faults.faulty(drive, faults.of(LaserScan, change)))) == []
 
 
 def test_matching_preset_is_proposed(drive) -> None:

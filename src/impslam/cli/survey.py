@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import statistics
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
@@ -67,7 +68,7 @@ class ScanGeometry:
     limits: tuple[float, float] = (math.nan, math.nan)
     nearest: float = math.inf
     farthest: float = 0.0
-    sweep: float = 0.0
+    sweeps: list[float] = field(default_factory=list)
     total: int = 0
     invalid: int = 0
     scans: int = 0
@@ -82,7 +83,7 @@ class ScanGeometry:
             return
         self.starts.add(round(float(scan.angles[0]), 4))
         self.field_of_view = float(np.ptp(scan.angles)) * n / max(n - 1, 1)
-        self.sweep = max(self.sweep, float(scan.time_offsets.max()))
+        self.sweeps.append(float(scan.time_offsets.max()))
         with np.errstate(invalid="ignore"):
             valid = np.isfinite(scan.ranges) & (scan.ranges > 0.0)
         if lidar is not None:
@@ -93,6 +94,11 @@ class ScanGeometry:
         if valid.any():
             self.nearest = min(self.nearest, float(scan.ranges[valid].min()))
             self.farthest = max(self.farthest, float(scan.ranges[valid].max()))
+
+    @property
+    def sweep(self) -> float:
+        """Median duration of a sweep, s: drivers that measure it double it when they lose a scan."""
+        return statistics.median(self.sweeps) if self.sweeps else 0.0
 
     @property
     def share_invalid(self) -> float:

@@ -55,7 +55,8 @@ DRAWN = BeamModel(2.0 * math.log(0.67 / 0.33), math.log(0.33 / 0.67), math.log(0
 """For maps that are displayed and used for planning: a cell is occupied if more than a third of the scans
 that reach it end in it. A wall on the border of two cells ends half of its beams in either one, fewer with
 noise; GMapping uses a quarter, which also keeps more single beams from the edges of objects. Two passes
-make a cell free in a trinary map (p < 0.196), six clear any cell."""
+make a cell free in a trinary map (p < 0.196), six clear any cell; `map_image` makes an exception for a
+single scan."""
 BALANCED = BeamModel(math.log(0.7 / 0.3), math.log(0.3 / 0.7), math.log(0.97 / 0.03))
 """For questions of evidence: log-odds count by how many more scans hit a cell than passed through it.
 With 2 cm of range noise a beam ends in its own cell of 5 cm in 7 of 10."""
@@ -239,6 +240,11 @@ class OccupancyGrid:
             self._cover(np.floor(self._box[:2]), np.floor(self._box[2:]))
             cells = GridCells(self.logodds, self._changed, self.corner, self.resolution)
             self._number = _draw(cells, self._model, self._number, new, verdicts)
+
+    @property
+    def scans(self) -> int:
+        """Number of scans that have been drawn."""
+        return self._number - 1
 
     @property
     def origin(self) -> Array:

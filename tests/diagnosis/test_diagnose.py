@@ -130,6 +130,13 @@ def test_dead_sector(drive) -> None:
     assert (only.kind, only.harmful) == ("dead sector", False)
 
 
+def test_no_return_does_not_mean_a_covered_lidar_while_the_robot_stands(drive) -> None:
+    """Open space in the same direction explains it, and a wall nearby explains a constant range."""
+    still = list(faults.faulty(drive, faults.parked()))
+    assert found(faults.faulty(still, faults.blocked(0.3))) == []
+    assert found(faults.faulty(still, faults.body(0.3))) == []
+
+
 def test_mirrored_or_exchanged_without_a_gyro(drive) -> None:
     quiet = [{name: c for name, c in batch.items() if name != "Imu"} for batch in drive]
     problems = harm(faults.faulty(quiet, faults.exchanged()))

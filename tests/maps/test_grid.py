@@ -170,6 +170,9 @@ def test_a_single_scan_shows_the_free_space_it_saw():
     assert pixel(grid, 0.55, 0.05) == FREE_PIXEL
     assert pixel(grid, 1.05, 0.05) == OCCUPIED_PIXEL
     assert pixel(grid, 1.05, 0.55) == UNKNOWN_PIXEL
+    other = placed([0.05, 0.05, 0.0], [[-1.0, 0.0]], origin=[-0.3, 0.0])  # another lidar
+    draw(grid, first, other)
+    assert pixel(grid, 0.55, 0.55) == pixel(grid, -0.55, 0.05) == FREE_PIXEL
     draw(grid, first, placed([0.15, 0.05, 0.0], [[0.9, 0.0]]))
     assert pixel(grid, 0.55, 0.05) == FREE_PIXEL
     assert pixel(grid, 0.55, 0.55) == UNKNOWN_PIXEL

@@ -169,6 +169,18 @@ def blocked(width: float) -> Change:
     return of(LaserScan, change)
 
 
+def parked() -> Change:
+    """Let the robot stand: every scan shows what the first one does, with noise of 1 cm."""
+    rng, still, first = np.random.default_rng(0), standing(), dict[str, np.ndarray]()
+
+    def change(c: Columns) -> Columns:
+        seen = first.setdefault(c.stream, c["ranges"][0])
+        return with_values(c, ranges=seen + 0.01 * rng.standard_normal(c["ranges"].shape))
+
+    scans = of(LaserScan, change)
+    return lambda columns: still(scans(columns))
+
+
 def scaled_odometry(way: float, turn: float) -> Change:
     """Scale ways and turns of the poses of odometry."""
     return _of_motions(lambda twists: twists * [way, way, turn])

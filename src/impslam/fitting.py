@@ -87,7 +87,7 @@ def choices(config: Config, source: Source) -> str:
             )
     elif stream:
         parts.append(f"odometry {stream}")
-    return "; ".join(parts)
+    return "; ".join(parts) or "nothing in this log"
 
 
 def _by_config(config: Config, robot: Robot) -> str:

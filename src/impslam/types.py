@@ -7,6 +7,7 @@ base_link and laser (REP 105).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, NamedTuple, TypeAlias, TypeVar, TypeVarTuple, Unpack
@@ -126,6 +127,14 @@ class LaserScan(Stamped):
         check_shape("LaserScan.time_offsets", self.time_offsets, n)
         if self.intensities is not None:
             check_shape("LaserScan.intensities", self.intensities, n)
+
+
+def range_limits(low: float, high: float) -> tuple[float, float]:
+    """Return the limits of a scan's ranges as given, or NaN for both if no range is within them.
+
+    Drivers that do not know their lidar leave `range_max` at 0; then `range_min` is no better known.
+    """
+    return (math.nan, math.nan) if high <= max(0.0, low) else (low, high)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

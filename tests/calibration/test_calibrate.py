@@ -125,6 +125,9 @@ def test_errors_for_logs_that_cannot_be_calibrated(eight):
         calibrate(WRONG, extract_drives(WRONG, eight, "log"), ["radius"])
     with pytest.raises(SourceError, match="log: has no OdometryPose to calibrate"):
         extract_drives(load("default"), replace(eight, odometry=()), "log")
+    alone = load("default", ["odometry.kind=lidar_only"])
+    with pytest.raises(SourceError, match="log: has no odometry to calibrate; record odometry"):
+        extract_drives(alone, eight, "log")
     robot = SimulatedRobot(imu=None)
     with pytest.raises(SourceError, match="motions of the lidar were matched, and 10 are needed"):
         extract_drives(WRONG, recorded([(0.3, 0.0)], robot), "log")

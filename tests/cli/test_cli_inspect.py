@@ -21,7 +21,7 @@ def test_room(imp, room) -> None:
     assert "/scan sensor_msgs/msg/LaserScan yes scan 100" in words
     assert "LaserScan 100 10.0 9.9 0.100 0 0" in words
     assert "beams 682" in words
-    assert "field of view 239.8 deg" in words
+    assert "field of view 239.4 deg" in words
     assert "sweep 67 ms" in words
     assert "odometry encoders, 2.1" in words
     assert "no problems found" in words
@@ -72,6 +72,33 @@ def test_scans_of_changing_length_and_invalid_beams(imp, write) -> None:
     assert "not in the log" in said.out
 
 
+@pytest.mark.parametrize(
+    ("angles", "degrees"),
+    [
+        (np.radians(np.arange(-90.0, 91.0)), "180.0"),
+        (np.radians(np.arange(360.0)), "360.0"),
+        (np.radians(np.linspace(0.0, 360.0, 360)), "360.0"),  # the last beam repeats the first
+        (np.radians(np.arange(0.0, 359.0)), "358.0"),
+        (np.zeros(1), "0.0"),
+    ],
+)
+def test_the_field_of_view_is_the_angle_from_beam_to_beam(imp, write, angles, degrees) -> None:
+    n = len(angles)
+    log = write([LaserScan(1.0, angles, np.full(n, 2.0), np.zeros(n)), WheelAngles(1.0, 0, 0)])
+    assert f"field of view  {degrees} deg" in imp("inspect", log).out
+
+
+def test_a_log_without_odometry_has_none(imp, write) -> None:
+    log = write([scan(1.0), scan(2.0)])
+    said = imp("inspect", log, "-c", "default").out
+    assert re.search(r"^odometry +none$", said, re.MULTILINE)
+    assert "0.00 m" not in said
+    wheels = write([WheelAngles(1.0, 0, 0), WheelAngles(2.0, 1, 1)])
+    said = imp("inspect", wheels, "-c", "default").out
+    assert "reads: nothing in this log" in said
+    assert re.search(r"^odometry +none$", said, re.MULTILINE)
+
+
 def test_a_log_of_detections_needs_no_scan(imp, tmp_path) -> None:
     said = imp("inspect", write_acfr_park(tmp_path / "park"))
     words = " ".join(said.out.split())
@@ -98,6 +125,18 @@ def test_the_odometry_that_would_fit(imp, write) -> None:
     said = imp("inspect", log, "--set", "odometry.kind=odometry_pose")
     assert "odometry_pose, 1.41 m, 57 deg" in said.out
     assert "no problems found" in said.out
+
+
+def test_the_odometry_that_would_fit_and_what_it_needs(imp, write) -> None:
+    log = write([scan(1.0), WheelAngles(1.0, 0, 0), WheelAngles(2.0, 1, 1)])
+    alone = "--set", "odometry.kind=odometry_pose"
+    fix = "odometry.wheel_radius=WHEEL_RADIUS --set odometry.track=TRACK"
+    said = imp("inspect", log, "-c", "default", *alone).out
+    assert f"use --set odometry.kind=encoders --set {fix}" in said
+    values = "kind=encoders", "wheel_radius=0.1", "track=0.4"
+    settings = [word for value in values for word in ("--set", f"odometry.{value}")]
+    said = imp("inspect", log, "-c", "default", *settings)
+    assert said.code == 0, said.err
 
 
 @pytest.mark.real

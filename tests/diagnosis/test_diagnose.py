@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from tests import log_faults as faults
 
-from impslam.columns import Batch, batches
+from impslam.columns import Batch, Columns, batches
 from impslam.config import load
 from impslam.diagnosis.diagnose import diagnose
 from impslam.diagnosis.finding import worst_health
@@ -112,6 +112,16 @@ def test_fault_is_found_and_its_settings_fix_it(drive, name: str) -> None:
     assert harm(wrong, *settings, *problems[kind].fix) == {}
 
 
+def test_a_lost_scan_is_no_long_sweep(drive) -> None:
+    """A driver that measures the time of a revolution doubles it when it loses one."""
+    lost = iter([True])
+
+    def change(c: Columns) -> Columns:
+        return faults.with_layout(c, time_offsets=(1.0 + next(lost, 0.0)) * c["time_offsets"])
+
+    assert found(list(faults.faulty(drive, faults.of(LaserScan, change)))) == []
+
+
 def test_matching_preset_is_proposed(drive) -> None:
     (only,) = diagnose(load("turtlebot3-waffle", ["sensors.lidar.mount=[0.15,0,0]"]), drive, {})
     assert only.kind == "wrong preset"
@@ -149,6 +159,13 @@ def test_sweeps_without_turns_do_not_show_the_order_of_beams(drive) -> None:
 def test_dead_sector(drive) -> None:
     (only,) = found(faults.faulty(drive, faults.blocked(0.3)))
     assert (only.kind, only.harmful) == ("dead sector", False)
+
+
+def test_no_return_does_not_mean_a_covered_lidar_while_the_robot_stands(drive) -> None:
+    """Open space in the same direction explains it, and a wall nearby explains a constant range."""
+    still = list(faults.faulty(drive, faults.parked()))
+    assert found(faults.faulty(still, faults.blocked(0.3))) == []
+    assert found(faults.faulty(still, faults.body(0.3))) == []
 
 
 def test_mirrored_or_exchanged_without_a_gyro(drive) -> None:

@@ -6,6 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from impslam.maps import grid as module
+from impslam.maps.files import FREE as FREE_PIXEL
+from impslam.maps.files import OCCUPIED as OCCUPIED_PIXEL
+from impslam.maps.files import UNKNOWN as UNKNOWN_PIXEL
 from impslam.maps.files import map_image
 from impslam.maps.grid import BALANCED, DRAWN, OccupancyGrid, PlacedScans
 
@@ -151,6 +154,28 @@ def test_a_cell_that_fewer_hit_is_not():
 
 def test_two_passes_make_a_cell_free():
     assert seen(0, 2) < FREE < seen(0, 1)
+
+
+def pixel(grid, x, y):
+    image = map_image(grid)
+    column, row = np.floor((np.array([x, y]) - image.origin) / image.resolution).astype(int)
+    return image.pixels[::-1][row, column]
+
+
+def test_a_single_scan_shows_the_free_space_it_saw():
+    """The scan of a robot that stands is the only one there will be."""
+    grid = OccupancyGrid(0.1)
+    first = placed([0.05, 0.05, 0.0], [[1.0, 0.0], [1.0, 1.0]])
+    draw(grid, first)
+    assert pixel(grid, 0.55, 0.05) == FREE_PIXEL
+    assert pixel(grid, 1.05, 0.05) == OCCUPIED_PIXEL
+    assert pixel(grid, 1.05, 0.55) == UNKNOWN_PIXEL
+    other = placed([0.05, 0.05, 0.0], [[-1.0, 0.0]], origin=[-0.3, 0.0])  # another lidar
+    draw(grid, first, other)
+    assert pixel(grid, 0.55, 0.55) == pixel(grid, -0.55, 0.05) == FREE_PIXEL
+    draw(grid, first, placed([0.15, 0.05, 0.0], [[0.9, 0.0]]))
+    assert pixel(grid, 0.55, 0.05) == FREE_PIXEL
+    assert pixel(grid, 0.55, 0.55) == UNKNOWN_PIXEL
 
 
 def test_six_passes_clear_any_cell_and_one_stray_beam_does_not_fill_a_free_one():

@@ -138,6 +138,13 @@ def test_limits_are_the_tighter_of_message_and_config():
     assert observe(lidar, sweep(ranges)).valid.tolist() == [False, True, True, True]
 
 
+@pytest.mark.parametrize("limits", [(0.15, 0.0), (0.0, 0.0), (0.5, 0.5), (math.nan, 0.0)])
+def test_limits_of_a_message_that_no_range_can_keep_are_unset(limits):
+    message = sweep([0.1, 3.0, 13.0], range_min=limits[0], range_max=limits[1])
+    assert observe(Lidar2D(), message).valid.tolist() == [True] * 3
+    assert observe(Lidar2D(range_max=12.0), message).valid.tolist() == [True, True, False]
+
+
 def test_the_robots_own_body_is_cut_out():
     lidar = Lidar2D(angle_min=-1.0, angle_max=1.0)
     angles = np.array([-1.5, -0.5, 0.5, 1.5])

@@ -17,6 +17,9 @@ from tests.sources.logs import (
 
 from impslam.columns import messages
 from impslam.errors import SourceError
+from impslam.fitting import choices
+from impslam.geometry.se2 import compose
+from impslam.open_log import open_log
 from impslam.sources import carmen
 from impslam.sources.base import recognise
 from impslam.types import LaserScan, OdometryPose
@@ -68,6 +71,51 @@ def test_robot_laser_lines_contain_their_angles(tmp_path: Path) -> None:
     assert [s.range_max for s in scans] == [81.9] * 3
     np.testing.assert_array_equal(found[0].pose, [1.0, 2.0, 0.5])
     assert not source.problems.counts
+
+
+def drive(mount=(0.22, -0.1, 0.3), *, slip: float = 0.0, turn: float = 0.1) -> list[str]:
+    """ROBOTLASER1 lines of a robot on a curve, with its laser on a mount that moves by `slip` per line."""
+    lines = []
+    for k in range(20):
+        robot = np.array([0.1 * k, 2.0, turn * k])
+        laser = compose(robot, np.add(mount, [slip * k, 0.0, 0.0]))
+        old = " 1.22 2 0.5 1 2 0.5 "
+        new = " ".join(f"{value:.6f}" for value in (*laser, *robot))
+        lines.append(robot_laser(1.0 + k).replace(old, f" {new} "))
+    return lines
+
+
+def test_the_poses_of_laser_and_robot_give_the_mount(tmp_path: Path) -> None:
+    path = log(tmp_path, *drive())
+    config, source = open_log(path)
+    assert config.sensors["lidar"]["mount"] == (0.22, -0.1, 0.3)
+    words = "scan ROBOTLASER1 (mount [0.220 m, -0.100 m, 17.2 deg], the poses in ROBOTLASER1)"
+    assert choices(config, source) == f"{words}; odometry ODOM"
+    config, _ = open_log(path, settings=["sensors.lidar.mount=[0.5,0,0]"])
+    assert list(config.sensors["lidar"]["mount"]) == [0.5, 0, 0]
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        drive((0.0, 0.0, 0.0)),  # the robot's pose twice
+        drive(slip=0.01),
+        drive(turn=0.0),  # not turning, any two poses have a constant difference
+        drive((50.0, 0.0, 0.0)),
+        [robot_laser(1.0)],
+        [flaser(1.0)],
+        [line.replace("ROBOTLASER1", "FLASER") for line in drive()],
+    ],
+)
+def test_poses_that_determine_no_mount(tmp_path: Path, lines: list[str]) -> None:
+    config, source = open_log(log(tmp_path, *lines))
+    assert "mount" not in config.sensors["lidar"]
+    assert "mount unknown, taken to be at base_link: not in the log" in choices(config, source)
+
+
+def test_a_largest_range_of_zero_is_unset(tmp_path: Path) -> None:
+    found, _ = read(log(tmp_path, robot_laser(1.0).replace(" 81.9 ", " 0 ")))
+    assert [math.isnan(m.range_max) for m in found if isinstance(m, LaserScan)] == [True]
 
 
 def test_the_rear_laser_is_left_out_by_default(tmp_path: Path) -> None:

@@ -104,6 +104,63 @@ def test_what_rostopic_echo_writes(tmp_path: Path) -> None:
     assert (scan.range_min, scan.range_max) == (0.1, 8.0)
 
 
+ECHO = "%time,field.header.seq,field.header.stamp,field.header.frame_id,field.{}"
+
+
+def test_rostopic_echo_of_simulated_time(tmp_path: Path) -> None:
+    """It writes ns, however few of them there are."""
+    header = ECHO.format(
+        "angle_min,field.angle_increment,field.ranges0,field.ranges1,field.ranges2"
+    )
+    rows = [f"{t},7,{t},laser,-1,0.5,1,2,3" for t in (0, 5_200_000_000, 2_300_000_000_000)]
+    assert [m.stamp for m in messages(tmp_path, header, *rows)] == [0.0, 5.2, 2300.0]
+    named = {"stamp": "field.header.stamp"}
+    assert [m.stamp for m in messages(tmp_path, header, *rows, columns=named)] == [0.0, 5.2, 2300.0]
+
+
+def covariance(of: str) -> str:
+    return ",".join(f"field.{of}.covariance{k}" for k in range(36))
+
+
+def test_rostopic_echo_of_odometry(tmp_path: Path) -> None:
+    pose = ",field.".join(f"pose.pose.position.{c}" for c in "xyz")
+    turn = ",".join(f"field.pose.pose.orientation.{c}" for c in "xyzw")
+    twist = ",".join(f"field.twist.twist.{v}.{c}" for v in ("linear", "angular") for c in "xyz")
+    header = ",".join([ECHO.format(pose), turn, covariance("pose"), twist, covariance("twist")])
+    zeros = ",".join(["0"] * 36)
+    row = f"1,7,2000000000,odom,1.5,-2.5,9,0,0,2,2,{zeros},0.5,0,0,0,0,0.25,{zeros}"
+    unturned = row.replace("0,0,2,2", "0,0,0,0")
+    found, source = read(log(tmp_path, header, row, unturned))
+    (only,) = found
+    assert isinstance(only, OdometryPose)
+    assert only.stamp == 2.0
+    np.testing.assert_allclose(only.pose, [1.5, -2.5, math.pi / 2])
+    with source:
+        assert source.kinds() == {OdometryPose}
+    assert "the orientation is a zero quaternion" in source.problems.examples["malformed row"]
+
+
+def test_rostopic_echo_of_velocities(tmp_path: Path) -> None:
+    names = ",field.".join(f"twist.{v}.{c}" for v in ("linear", "angular") for c in "xyz")
+    (only,) = messages(tmp_path, ECHO.format(names), "1,7,2000000000,base,0.5,0,0,0,0,0.25")
+    assert isinstance(only, Velocity)
+    assert (only.stamp, only.speed, only.turn_rate) == (2.0, 0.5, 0.25)
+
+
+def test_lines_of_different_length_are_explained(tmp_path: Path) -> None:
+    path = log(tmp_path, "0.0, 1, 2, 3, 4, 5", "0.1, 1, 2, 3, 4, 5, 6, 7")
+    with pytest.raises(SourceError, match="its first line has 6 cells and its second 8; write"):
+        read(path)
+
+
+def test_limits_that_no_range_can_keep_are_unset(tmp_path: Path) -> None:
+    """Drivers that do not know their lidar write a range_max of 0."""
+    (scan,) = messages(tmp_path, "stamp,range_min,range_max,0,1,2", "1,0.15,0,1,2,3")
+    assert isinstance(scan, LaserScan)
+    assert math.isnan(scan.range_min)
+    assert math.isnan(scan.range_max)
+
+
 def test_rows_may_contain_odometry_or_a_scan_only(tmp_path: Path) -> None:
     rows = ["stamp,left,right,0,1,2", "1,1,2,,,", "2,,,1,2,3", "3,1,2,1,2,3", "# no row", ""]
     assert [(m.stamp, type(m)) for m in messages(tmp_path, *rows)] == [

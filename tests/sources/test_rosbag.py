@@ -1,5 +1,6 @@
 import math
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -249,6 +250,15 @@ def entry(store: Any, i: int, rng: np.random.Generator) -> tuple[str, Any]:
         ("/odom2", odometry(store, turn)),
         ("/imu", imu(store, stamp, float(odd == 0), math.nan if odd == 1 else rng.normal())),
     ][rng.integers(5)]
+
+
+@pytest.mark.parametrize("high", [0.0, 0.1])
+def test_limits_that_no_range_can_keep_are_unset(tmp_path: Path, high: float) -> None:
+    """Drivers that do not know their lidar leave range_max at 0, and set range_min."""
+    message = replace(scan(ROS2, high=high), range_min=0.15)
+    found, _ = read(bag(tmp_path / "a.mcap", *[("/scan", message)] * 4))
+    assert [m.range_min for m in found] == pytest.approx([math.nan] * 4, nan_ok=True)
+    assert [m.range_max for m in found] == pytest.approx([math.nan] * 4, nan_ok=True)
 
 
 def test_a_truncated_message_does_not_affect_the_others(tmp_path: Path) -> None:

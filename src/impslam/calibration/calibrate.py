@@ -122,9 +122,11 @@ def extract_drives(
     """
     odometry, (_, lidar) = config.make_robot().odometry, first_lidar(config)
     if not odometry.measures_motion or not recording.odometry:
+        # An odometry that measures nothing reads scans, which are not what is missing.
+        missing = odometry.consumes.__name__ if odometry.measures_motion else "odometry"
         raise SourceError(
-            f"{where}: has no {odometry.consumes.__name__} to calibrate; record odometry, or choose "
-            "the kind that the log has with --set odometry.kind="
+            f"{where}: has no {missing} to calibrate; record odometry, or choose the kind that the log "
+            "has with --set odometry.kind="
         )
     recording, disorder = reorder_stamps(recording)
     path = lidar_path(lidar, recording.scans)

@@ -119,6 +119,8 @@ def _scan_facts(beams: ScanGeometry) -> dict[str, str]:
 
 
 def _motion_facts(survey: Survey, config: Config) -> dict[str, str]:
+    if not survey.has_odometry:
+        return {"odometry": "none"}
     distance = f"{survey.distance:.2f} m"
     turns = f"{math.degrees(survey.rotation):.0f} deg of turns"
     return {"odometry": f"{config.odometry['kind']}, {distance}, {turns}"}

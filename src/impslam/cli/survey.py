@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+import statistics
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from impslam.columns import Motions, Sweeps, messages
+from impslam.component import find
 from impslam.config import Config
 from impslam.diagnosis.diagnose import SCANS, diagnose
 from impslam.diagnosis.finding import Finding
@@ -19,6 +21,8 @@ from impslam.types import Array, LaserScan, Message
 
 MIN_BEAMS = 10
 """Number of valid beams that a scan needs to be matched."""
+FULL_TURN_STEPS = 1.5
+"""Steps from the last beam to the first of a full turn: one, in theory; drivers round the step."""
 MAX_POOR_SHARE = 0.5
 """Share of scans with fewer beams above which a problem is reported."""
 
@@ -67,7 +71,7 @@ class ScanGeometry:
     limits: tuple[float, float] = (math.nan, math.nan)
     nearest: float = math.inf
     farthest: float = 0.0
-    sweep: float = 0.0
+    sweeps: list[float] = field(default_factory=list)
     total: int = 0
     invalid: int = 0
     scans: int = 0
@@ -81,8 +85,8 @@ class ScanGeometry:
         if n == 0:
             return
         self.starts.add(round(float(scan.angles[0]), 4))
-        self.field_of_view = float(np.ptp(scan.angles)) * n / max(n - 1, 1)
-        self.sweep = max(self.sweep, float(scan.time_offsets.max()))
+        self.field_of_view = _field_of_view(scan.angles)
+        self.sweeps.append(float(scan.time_offsets.max()))
         with np.errstate(invalid="ignore"):
             valid = np.isfinite(scan.ranges) & (scan.ranges > 0.0)
         if lidar is not None:
@@ -95,9 +99,21 @@ class ScanGeometry:
             self.farthest = max(self.farthest, float(scan.ranges[valid].max()))
 
     @property
+    def sweep(self) -> float:
+        """Median duration of a sweep, s: drivers that measure it double it when they lose a scan."""
+        return statistics.median(self.sweeps) if self.sweeps else 0.0
+
+    @property
     def share_invalid(self) -> float:
         """Share of invalid beams."""
         return self.invalid / self.total if self.total else 0.0
+
+
+def _field_of_view(angles: Array) -> float:
+    """Return the angle between the first and the last beam, or 2 pi if they are neighbours, rad."""
+    span, full = float(np.ptp(angles)), 2.0 * math.pi
+    step = span / max(len(angles) - 1, 1)
+    return full if span + FULL_TURN_STEPS * step >= full else span
 
 
 class Survey:
@@ -133,6 +149,12 @@ class Survey:
         self._add_steps(self._robot.ahead().d_pose[None])
         self._check_log()
         self.findings = diagnose(self._config, self._head.batches, source.defaults())
+
+    @property
+    def has_odometry(self) -> bool:
+        """Whether the log contains readings of the config's odometry, and these measure motion."""
+        odometry = self._robot.odometry
+        return odometry.measures_motion and odometry.consumes.__name__ in self.clocks
 
     @property
     def reads(self) -> frozenset[str]:
@@ -187,8 +209,16 @@ class Survey:
         kind = self._robot.odometry.name
         others = {"OdometryPose": "odometry_pose", "WheelAngles": "encoders"}
         fix = next((k for name, k in others.items() if name in self.clocks), None)
-        advice = f"use --set odometry.kind={fix}" if fix else "record wheel angles or odometry"
+        advice = self._settings(fix) if fix else "record wheel angles or odometry"
         return f"odometry {kind!r} needs {needed}, but the log contains none: {advice}"
+
+    def _settings(self, kind: str) -> str:
+        """Return the advice to use a kind of odometry, with all parameters that it requires."""
+        fields = find("odometry", kind).model_fields.items()
+        needed = [n for n, one in fields if one.is_required() and n not in self._config.odometry]
+        return f"use --set odometry.kind={kind}" + "".join(
+            f" --set odometry.{name}={name.upper()}" for name in needed
+        )
 
     def _check_clocks(self, name: str, motion: StampStatistics) -> None:
         sensor = self._robot.sensors[name]

@@ -10,6 +10,7 @@ import numpy as np
 from impslam.calibration.lidar_path import unmounted
 from impslam.diagnosis.evidence import Evidence
 from impslam.diagnosis.finding import MAX_PROBABILITY, Finding
+from impslam.diagnosis.travel import SweepMotions, stretches
 from impslam.types import Array, Ints, Mask
 
 MAX_SCANS = 400
@@ -29,7 +30,8 @@ BODY_SPREAD = (0.02, 0.01)
 MIN_BODY_SHARE = 0.8
 """Share of scans in which a beam that hits the body has its median range."""
 MIN_TRAVEL = (2.0, 1.5)
-"""m, rad of laser motion needed to attribute a constant range to the robot itself."""
+"""m, rad of laser motion needed to attribute a constant range, or none, to the robot itself: a lidar that
+stands sees the same things all the time, and open space in the same directions."""
 
 
 class BeamSamples(NamedTuple):
@@ -45,7 +47,22 @@ def check_beams(e: Evidence) -> list[Finding]:
     sample = _sample(e)
     if sample is None:
         return []
-    return [*_no_return(e, sample), *_body(e, sample), *_dead(e, sample)]
+    findings = _no_return(e, sample)
+    if _travels(e.sweep_motions):
+        findings += [*_body(e, sample), *_dead(e, sample)]
+    return findings
+
+
+def _travels(motion: SweepMotions) -> bool:
+    """Return whether the laser moves far enough to tell the robot itself from its surroundings.
+
+    Motions are summed over stretches, in which the errors of the matches of a standing lidar cancel.
+    """
+    begins, ends = stretches(motion)
+    sums = np.cumsum(motion.twists, axis=0)
+    twists = sums[ends] - sums[begins]
+    distance, turn = np.hypot(*twists[:, :2].T).sum(), np.abs(twists[:, 2]).sum()
+    return bool(distance >= MIN_TRAVEL[0] and turn >= MIN_TRAVEL[1])
 
 
 def _sample(e: Evidence) -> BeamSamples | None:
@@ -87,10 +104,6 @@ def _limit(e: Evidence, values: Array, value: float) -> str:
 
 
 def _body(e: Evidence, sample: BeamSamples) -> list[Finding]:
-    twists = e.sweep_motions.twists
-    distance, turn = np.hypot(*twists[:, :2].T).sum(), np.abs(twists[:, 2]).sum()
-    if distance < MIN_TRAVEL[0] or turn < MIN_TRAVEL[1]:
-        return []
     near = np.flatnonzero(sample.valid.mean(axis=0) >= MIN_BODY_SHARE)
     ranges = np.where(sample.valid[:, near], sample.ranges[:, near], np.nan)
     usual = np.nanmedian(ranges, axis=0) if len(near) else np.empty(0)

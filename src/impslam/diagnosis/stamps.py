@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
+import numpy as np
+
+from impslam.columns import Columns
 from impslam.diagnosis.evidence import Evidence
 from impslam.diagnosis.finding import Finding, is_off, probability_off
 from impslam.diagnosis.timing import MAX_LAG_ERROR
@@ -18,8 +21,7 @@ is a queue or another clock, and 10 cm at half a metre per second."""
 
 def check_overlap(e: Evidence) -> Iterator[Finding]:
     """Find sweeps that last longer, by their beams' times, than the time between scans."""
-    sweep = max((float(c["time_offsets"].max(initial=0.0)) for c in e.recording.scans), default=0.0)
-    period = e.timing.period
+    sweep, period = _sweep(e.recording.scans), e.timing.period
     if e.lidar.deskew and period and sweep > MAX_SWEEP_RATIO * period:
         yield Finding(
             "sweep too long",
@@ -27,6 +29,17 @@ def check_overlap(e: Evidence) -> Iterator[Finding]:
             (f"{e.lidar_key}.deskew=false",),
             advice="time_increment in the log is wrong",
         )
+
+
+def _sweep(scans: Sequence[Columns]) -> float:
+    """Return the median duration of the sweeps, s; 0 without scans.
+
+    Drivers that measure the time of a revolution double it when they lose one, so the longest sweep says
+    little.
+    """
+    durations = [float(c["time_offsets"].max(initial=0.0)) for c in scans]
+    every = np.repeat(durations, [len(c) for c in scans])
+    return float(np.median(every)) if len(every) else 0.0
 
 
 def check_stamps(e: Evidence) -> Iterator[Finding]:

@@ -38,8 +38,14 @@ class MapImage:
 
 
 def map_image(grid: OccupancyGrid) -> MapImage:
-    """Return the grid in three greys, cropped to the known area."""
+    """Return the grid in three greys, cropped to the known area.
+
+    A cell is free once two scans have passed through it. One is enough if the robot has not moved: there is
+    no view from elsewhere to wait for, and a map without free cells is of no use for planning.
+    """
     free, occupied = (math.log(p / (1.0 - p)) for p in (FREE_BELOW, OCCUPIED_ABOVE))
+    if grid.is_stationary:
+        free = 0.0
     pixels = np.full(grid.logodds.shape, UNKNOWN, np.uint8)
     pixels[grid.logodds < free] = FREE
     pixels[grid.logodds > occupied] = OCCUPIED

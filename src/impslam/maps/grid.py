@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from impslam.errors import ConfigError
-from impslam.geometry.angles import wrap_in_kernel
+from impslam.geometry.angles import wrap, wrap_in_kernel
 from impslam.geometry.kernels import kernel, read_only
 from impslam.types import Array, Ints
 
@@ -55,7 +55,8 @@ DRAWN = BeamModel(2.0 * math.log(0.67 / 0.33), math.log(0.33 / 0.67), math.log(0
 """For maps that are displayed and used for planning: a cell is occupied if more than a third of the scans
 that reach it end in it. A wall on the border of two cells ends half of its beams in either one, fewer with
 noise; GMapping uses a quarter, which also keeps more single beams from the edges of objects. Two passes
-make a cell free in a trinary map (p < 0.196), six clear any cell."""
+make a cell free in a trinary map (p < 0.196), six clear any cell; `map_image` makes an exception for a
+robot that stands."""
 BALANCED = BeamModel(math.log(0.7 / 0.3), math.log(0.3 / 0.7), math.log(0.97 / 0.03))
 """For questions of evidence: log-odds count by how many more scans hit a cell than passed through it.
 With 2 cm of range noise a beam ends in its own cell of 5 cm in 7 of 10."""
@@ -239,6 +240,14 @@ class OccupancyGrid:
             self._cover(np.floor(self._box[:2]), np.floor(self._box[2:]))
             cells = GridCells(self.logodds, self._changed, self.corner, self.resolution)
             self._number = _draw(cells, self._model, self._number, new, verdicts)
+
+    @property
+    def is_stationary(self) -> bool:
+        """Whether all scans are from one place, of one lidar or several."""
+        poses = self._drawn[np.isfinite(self._drawn).all(axis=1)]
+        off = poses - poses[:1]
+        moved = np.hypot(off[:, 0], off[:, 1]) >= STATIONARY[0]
+        return not (moved | (np.abs(wrap(off[:, 2])) >= STATIONARY[1])).any()
 
     @property
     def origin(self) -> Array:

@@ -15,7 +15,7 @@ from impslam.geometry.kernels import plain
 from impslam.sensors.base import Sensor
 from impslam.sensors.clock import SweepClock
 from impslam.sensors.deskewing import deskew_sweeps
-from impslam.types import Array, LaserScan, Mask, Message, Observation, Scan
+from impslam.types import Array, LaserScan, Mask, Message, Observation, Scan, range_limits
 
 
 @register("lidar2d")
@@ -142,8 +142,8 @@ class Lidar2D(Sensor):
         return self.sweeps(columns, twist[None]).row(0)
 
     def _limits(self, columns: Columns) -> tuple[float, float]:
-        low = float(np.fmax(self.range_min, columns["range_min"]))
-        high = float(np.fmin(self.range_max, columns["range_max"]))
+        low, high = range_limits(columns["range_min"], columns["range_max"])
+        low, high = float(np.fmax(self.range_min, low)), float(np.fmin(self.range_max, high))
         return (0.0 if math.isnan(low) else low), (math.inf if math.isnan(high) else high)
 
     def in_field(self, angles: Array) -> Mask:

@@ -100,6 +100,12 @@ class Source(Component):
     def recognises(cls, path: Path) -> bool:
         """Return whether the path is a log of this format, judging by its content, not its name."""
 
+    @classmethod
+    def explain_refusal(cls, path: Path) -> str:
+        """Say why a path that is nearly a log of this format is none, and what to do; "" if it is not."""
+        del path
+        return ""
+
     @abstractmethod
     def __enter__(self) -> Self:
         """Open the log; raise `SourceError` if it cannot be read."""
@@ -233,16 +239,17 @@ def recognise(path: Path) -> type[Source]:
         )
     if path.is_file() and path.stat().st_size == 0:
         raise SourceError(f"{path}: the file is empty; record or copy it again")
-    known = names("source")
+    known, reasons = names("source"), list[str]()
     for name in known:  # one by one, so that a text log does not import the bag readers
         cls = find("source", name)
-        if issubclass(cls, Source) and cls.recognises(path):
-            return cls
-    zeros = "; it begins with zeros: writing was interrupted, or the disk lost the data"
-    raise SourceError(
-        f"{path}: no known log format; readable are {', '.join(known)} (see `imp list`)"
-        + (zeros if path.is_file() and _begins_with_zeros(path) else "")
-    )
+        if issubclass(cls, Source):
+            if cls.recognises(path):
+                return cls
+            reasons.append(cls.explain_refusal(path))
+    if path.is_file() and _begins_with_zeros(path):
+        reasons.append("it begins with zeros: writing was interrupted, or the disk lost the data")
+    text = f"{path}: no known log format; readable are {', '.join(known)} (see `imp list`)"
+    raise SourceError("; ".join([text, *filter(None, reasons)]))
 
 
 def _begins_with_zeros(path: Path) -> bool:

@@ -12,15 +12,16 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 
 from impslam.columns import Columns
 from impslam.component import parameter, register
 from impslam.errors import MessageError
-from impslam.sources.base import Stream
+from impslam.sources.base import Mount, Stream
 from impslam.sources.carmen_lines import line_laser, odometry, robot_laser
+from impslam.sources.carmen_mount import laser_mount
 from impslam.sources.carmen_shapes import Convert, Shape, read_table, shapes
 from impslam.sources.parts import LocatedMessage, Piece, single
 from impslam.sources.tables import Lines
@@ -36,6 +37,8 @@ _OPENING = (b"# CARMEN", b"ODOM ", b"PARAM ", b"SYNC ", *(f"{name} ".encode() fo
 @register("carmen")
 class Carmen(TextSource):
     """CARMEN log: ODOM, FLASER, RLASER and ROBOTLASER1 lines, also .gz."""
+
+    describes_robot: ClassVar[bool] = True
 
     laser: Literal["auto", "FLASER", "ROBOTLASER1", "RLASER"] = parameter(
         "auto", "1", "laser lines to use; auto: the first of FLASER, ROBOTLASER1, RLASER in the log"
@@ -163,6 +166,12 @@ class Carmen(TextSource):
     def defaults(self) -> Mapping[type[Message], str]:
         """Return the default lines of odometry and scans."""
         return {OdometryPose: "ODOM", LaserScan: self._chosen_laser()}
+
+    def mounts(self) -> Mapping[str, Mount]:
+        """Return the mount of the laser of ROBOTLASER1 lines, if their poses determine it."""
+        name = "ROBOTLASER1"
+        pose = laser_mount(self.path) if name in self._lasers() else None
+        return {} if pose is None else {name: Mount(pose, origin=f"the poses in {name}")}
 
 
 def _note(name: str, choice: str, is_read: bool) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from impslam.errors import MessageError
 from impslam.sources.text import beam_angles, beam_times, check_finite, numbers
-from impslam.types import LaserScan, Message, OdometryPose
+from impslam.types import LaserScan, Message, OdometryPose, range_limits
 
 
 def line_layout(n: int, field_of_view: float) -> tuple[float, float]:
@@ -57,7 +57,8 @@ def robot_laser(tokens: list[bytes]) -> tuple[Message, ...]:
     step = step or span / max(n - 1, 1)
     angles = beam_angles(n, start, step)
     ranges = numbers(tokens[9 : n + 9])
-    return pose, LaserScan(stamp, angles, ranges, beam_times(n), range_max=range_max)
+    _, high = range_limits(0.0, range_max)
+    return pose, LaserScan(stamp, angles, ranges, beam_times(n), range_max=high)
 
 
 def odometry(tokens: list[bytes]) -> tuple[Message, ...]:

@@ -14,19 +14,23 @@ from impslam.errors import MessageError
 from impslam.types import Array
 
 Role: TypeAlias = Literal[
-    "stamp", "x", "y", "theta", "left", "right", "speed", "turn_rate",
+    "stamp", "x", "y", "theta", "qx", "qy", "qz", "qw", "left", "right", "speed", "turn_rate",
     "ranges", "angle_min", "angle_step", "range_min", "range_max",
 ]  # fmt: skip
 
 NAMES: dict[Role, tuple[str, ...]] = {
     "stamp": ("stamp", "timestamp", "time", "t"),
-    "x": ("x", "odom_x"),
-    "y": ("y", "odom_y"),
+    "x": ("pose.position.x", "x", "odom_x"),
+    "y": ("pose.position.y", "y", "odom_y"),
     "theta": ("theta", "yaw", "heading", "odom_theta"),
+    "qx": ("pose.orientation.x", "qx"),
+    "qy": ("pose.orientation.y", "qy"),
+    "qz": ("pose.orientation.z", "qz"),
+    "qw": ("pose.orientation.w", "qw"),
     "left": ("left", "left_wheel"),
     "right": ("right", "right_wheel"),
-    "speed": ("speed", "v"),
-    "turn_rate": ("turn_rate", "omega"),
+    "speed": ("speed", "v", "twist.linear.x"),
+    "turn_rate": ("turn_rate", "omega", "twist.angular.z"),
     "angle_min": ("angle_min",),
     "angle_step": ("angle_step", "angle_increment"),
     "range_min": ("range_min",),
@@ -39,10 +43,16 @@ UNITS = {
 }  # fmt: skip
 MOTIONS: tuple[tuple[Role, ...], ...] = (
     ("x", "y", "theta"),
+    ("x", "y", "qx", "qy", "qz", "qw"),
     ("left", "right"),
     ("speed", "turn_rate"),
 )
+ECHO = "field."
+"""How the names of `rostopic echo -p` begin, except that of the first column, %time; both are in ns."""
 MIN_BEAMS = 3  # minimum number of consecutively numbered columns to recognise them as beams
+
+NOT_RANGES = ("covariance", "intensit")
+"""Parts of the names of other numbered columns, in what `rostopic echo` writes."""
 
 
 class CsvCells(NamedTuple):
@@ -60,12 +70,17 @@ class CsvLayout(NamedTuple):
     ----------
     cells : the columns by role
     motion : the roles that are odometry; empty if there is none
-    angles : (n,) rad, of the beams; None if each row contains them
+    angles : (n,) rad, of the beams; None if each row contains them, or if there are no ranges
     """
 
     cells: Mapping[Role, CsvCells]
     motion: tuple[Role, ...]
     angles: Array | None
+
+    @property
+    def has_ranges(self) -> bool:
+        """Whether the file has scans; what `rostopic echo` writes of odometry has none."""
+        return "ranges" in self.cells
 
 
 def layout(
@@ -90,15 +105,20 @@ def layout(
             cells[role] = found
     if "ranges" not in cells and (beams := _beams(header)):
         cells["ranges"] = beams
-    for role in ("stamp", "ranges"):
+    motion = next((roles for roles in MOTIONS if all(role in cells for role in roles)), ())
+    is_echo = any(name.startswith(ECHO) for name in header)
+    needed: tuple[Role, ...] = ("stamp",) if motion and is_echo else ("stamp", "ranges")
+    for role in needed:
         if role not in cells:
             example = "stamp=NAME" if role == "stamp" else "ranges=FIRST:LAST"
             shown = ", ".join(header[:8]) + (", ..." if len(header) > 8 else "")
             raise MessageError(
                 f"no column for {role} found ({shown}): name it with --columns {example}"
             )
-    motion = next((roles for roles in MOTIONS if all(role in cells for role in roles)), ())
-    return CsvLayout(cells, motion, _angles(header, cells, start, step))
+    if is_echo and cells["stamp"].factor == 1.0:
+        cells["stamp"] = cells["stamp"]._replace(factor=UNITS["ns"])
+    angles = _angles(header, cells, start, step) if "ranges" in cells else None
+    return CsvLayout(cells, motion, angles)
 
 
 def _given_cells(header: Sequence[str], role: Role, text: str) -> CsvCells:
@@ -126,13 +146,13 @@ def _find(header: Sequence[str], name: str) -> int:
 
 def _find_by_name(header: Sequence[str], names: Sequence[str]) -> CsvCells | None:
     """Return the column with the first of some names that is in the header."""
-    short = [name.lower().lstrip("%# ").rpartition(".")[2] for name in header]
+    whole = ["." + name.lower().lstrip("%# ") for name in header]
     for name in names:
-        for k, column in enumerate(short):
+        for k, column in enumerate(whole):
             stem, _, unit = column.rpartition("_")
-            if column == name:
+            if column.endswith(f".{name}"):
                 return CsvCells(k, k + 1, 1.0)
-            if stem == name and unit in UNITS:
+            if stem.endswith(f".{name}") and unit in UNITS:
                 return CsvCells(k, k + 1, UNITS[unit])
     return None
 
@@ -157,7 +177,9 @@ def _stem(name: str) -> str | None:
     if _number(name) is not None:
         return ""
     found = re.fullmatch(r"(.*[^\d])\d+\]?", name)
-    return found[1] if found else None
+    if found is None or any(other in found[1].lower() for other in NOT_RANGES):
+        return None
+    return found[1]
 
 
 def _number(name: str) -> float | None:

@@ -20,7 +20,16 @@ from impslam.sources.base import Stream
 from impslam.sources.csv_columns import CsvCells, CsvLayout, Role, layout
 from impslam.sources.parts import LocatedMessage
 from impslam.sources.text import TextSource, beam_angles, beam_times, check_finite, head
-from impslam.types import Array, LaserScan, Message, OdometryPose, Velocity, WheelAngles
+from impslam.sources.transforms import yaw_of
+from impslam.types import (
+    Array,
+    LaserScan,
+    Message,
+    OdometryPose,
+    Velocity,
+    WheelAngles,
+    range_limits,
+)
 
 SEPARATORS = (b",", b";", b"\t")
 MIN_COLUMNS = 4  # a stamp and three ranges
@@ -57,12 +66,19 @@ class CsvLog(TextSource):
     @classmethod
     def recognises(cls, path: Path) -> bool:
         """Recognise the format by two lines with equal numbers of cells, and numbers in the second."""
-        lines = [line.strip() for line in head(path)[:50]]
-        lines = [lines[0], *(line for line in lines[1:] if line[:1] != b"#")] if lines else []
-        if len(lines) < 2 or b"{" in lines[0]:  # JSON has commas, too
-            return False
-        first, second = (line.split(_separator(lines[0])) for line in lines[:2])
-        return len(first) == len(second) and sum(map(_is_cell, second)) >= MIN_COLUMNS
+        widths = _first_widths(path)
+        return widths is not None and widths[0] == widths[1]
+
+    @classmethod
+    def explain_refusal(cls, path: Path) -> str:
+        """Say that the lines of a file of numbers differ in length."""
+        widths = _first_widths(path)
+        if widths is None or min(widths) < MIN_COLUMNS:
+            return ""
+        return (
+            f"for a CSV log, its first line has {widths[0]} cells and its second {widths[1]}; "
+            "write every line with as many, and leave those without a value empty"
+        )
 
     def __enter__(self) -> Self:
         super().__enter__()
@@ -79,7 +95,8 @@ class CsvLog(TextSource):
     def kinds(self) -> frozenset[type[Message]]:
         """Return scans, and the kind of odometry in the columns."""
         motion = self._motion()
-        return frozenset({LaserScan} if motion is None else {LaserScan, motion})
+        scans = {LaserScan} if self._columns().has_ranges else set()
+        return frozenset(scans if motion is None else {*scans, motion})
 
     def defaults(self) -> Mapping[type[Message], str]:
         """Return the streams of the file."""
@@ -150,15 +167,29 @@ class CsvLog(TextSource):
         check_finite("odometry", *cells)
         kind = self._motion()
         if kind is OdometryPose:
-            yield OdometryPose(stamp, np.array(cells))
+            x, y, *turn = cells
+            yaw = turn[0] if len(turn) == 1 else yaw_of(*turn)
+            yield OdometryPose(stamp, np.array([x, y, yaw]))
         elif kind is WheelAngles:
             yield WheelAngles(stamp, *cells)
         else:
             yield Velocity(stamp, *cells)
 
 
+def _first_widths(path: Path) -> tuple[int, int] | None:
+    """Return the numbers of cells of the first two lines, or None if the second has too few numbers."""
+    lines = [line.strip() for line in head(path)[:50]]
+    lines = [lines[0], *(line for line in lines[1:] if line[:1] != b"#")] if lines else []
+    if len(lines) < 2 or b"{" in lines[0]:  # JSON has commas, too
+        return None
+    first, second = (line.split(_separator(lines[0])) for line in lines[:2])
+    return (len(first), len(second)) if sum(map(_is_cell, second)) >= MIN_COLUMNS else None
+
+
 def _scan(values: Array, found: CsvLayout, stamp: float) -> Iterator[LaserScan]:
     """Yield the scan of a row, unless its cells are empty."""
+    if not found.has_ranges:
+        return
     beams = found.cells["ranges"]
     ranges = beams.factor * values[beams.first : beams.last]
     if np.isnan(ranges).all():
@@ -172,7 +203,7 @@ def _scan(values: Array, found: CsvLayout, stamp: float) -> Iterator[LaserScan]:
         _value(values, found.cells[role]) if role in found.cells else math.nan
         for role in ("range_min", "range_max")
     )
-    yield LaserScan(stamp, angles, ranges, beam_times(len(ranges)), low, high)
+    yield LaserScan(stamp, angles, ranges, beam_times(len(ranges)), *range_limits(low, high))
 
 
 def _numbers(cells: list[bytes], used: list[int], width: int) -> Array:

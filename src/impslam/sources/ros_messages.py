@@ -15,7 +15,7 @@ import numpy as np
 from impslam.errors import MessageError
 from impslam.sources.ros_storage import RosMessage
 from impslam.sources.text import beam_angles, beam_times, check_finite
-from impslam.sources.transforms import rigid
+from impslam.sources.transforms import rigid, yaw_of
 from impslam.types import (
     Array,
     Image,
@@ -25,6 +25,7 @@ from impslam.types import (
     SatelliteFix,
     TruePose,
     WheelAngles,
+    range_limits,
 )
 
 Joints: TypeAlias = tuple[int, int]
@@ -63,9 +64,7 @@ def _scan(message: RosMessage, stamp: float, ranges: Any, intensities: Any) -> L
     check_finite("angle_min, angle_increment or time_increment", start, step, wait)
     if n == 0:
         raise MessageError("the scan has no ranges")
-    low, high = float(message.range_min), float(message.range_max)
-    if low == high == 0.0:  # unset
-        low = high = math.nan
+    low, high = range_limits(float(message.range_min), float(message.range_max))
     angles, times = beam_angles(n, start, step), beam_times(n, wait)
     intensities = None if intensities is None else _float64(intensities)
     return LaserScan(stamp, angles, _float64(ranges), times, low, high, intensities)
@@ -151,10 +150,7 @@ def _joint(names: Sequence[str], exact: str, side: str) -> int | None:
 
 def _planar(position: RosMessage, orientation: RosMessage) -> Array:
     """Return [x, y, yaw]; the quaternion need not have unit length."""
-    x, y, z, w = _vector(orientation, "xyzw")
-    if math.hypot(x, y, z, w) < 1e-3:
-        raise MessageError("the orientation is a zero quaternion")
-    yaw = math.atan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)
+    yaw = yaw_of(*_vector(orientation, "xyzw").tolist())
     return np.array([*_vector(position, "xy"), yaw])
 
 

@@ -25,7 +25,7 @@ BLOCK = 1 << 18  # bytes read at once: a hundred scans
 BEAMS_LIMIT = 100_000  # beams of a scan, ten times those of any 2D lidar
 WORDS_LIMIT = 100  # first words that are counted separately; formats have some ten
 _HEAD = 1 << 16  # bytes read to recognise a format
-_DAMAGE = (OSError, EOFError, zlib.error)
+DAMAGE = (OSError, EOFError, zlib.error)
 
 
 def _first_line(text: bytes) -> int:
@@ -56,7 +56,7 @@ def head(path: Path) -> list[bytes]:
         with open_text(path) as (_, text):
             while len(start) < _HEAD and (more := text.read1(_HEAD)):
                 start += more
-    except _DAMAGE:
+    except DAMAGE:
         pass  # the text before the damage may suffice
     if b"\0" in start:
         return []
@@ -114,7 +114,7 @@ class TextSource(Source):
             try:
                 with open_text(path) as (_, text):
                     text.readline(LINE_LIMIT)
-            except _DAMAGE as error:
+            except DAMAGE as error:
                 raise SourceError(f"{path}: cannot be read ({error}); copy it again") from None
         return self
 
@@ -142,7 +142,7 @@ class TextSource(Source):
                         number += block.count(b"\n")
             if text:
                 yield number, text
-        except _DAMAGE as error:
+        except DAMAGE as error:
             if whole := text[: text.rfind(b"\n") + 1]:
                 yield number, whole
             self._problems.add(
@@ -167,7 +167,7 @@ class TextSource(Source):
                     first = line[:32].split(None, 1)[:1]
                     word = first[0].decode("ascii", "replace") if first else ""
                     counts[word if word in counts or len(counts) < WORDS_LIMIT else "..."] += 1
-        except _DAMAGE:
+        except DAMAGE:
             pass  # iteration reports it in `problems`
         return counts
 

@@ -45,6 +45,19 @@ class Planar(NamedTuple):
     tilt: float
 
 
+def yaw_of(x: float, y: float, z: float, w: float) -> float:
+    """Return the yaw of a quaternion, which need not have unit length.
+
+    Raises
+    ------
+    MessageError
+        If its length is zero.
+    """
+    if math.hypot(x, y, z, w) < 1e-3:
+        raise MessageError("the orientation is a zero quaternion")
+    return math.atan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)
+
+
 def rigid(translation: Array, quaternion: Array) -> Array:
     """Return the transform (4, 4) of a translation (3,) in m and a quaternion [x, y, z, w].
 

@@ -124,3 +124,20 @@ def test_the_gap_between_two_drives_does_not_count_as_distance():
     joined, second = replace(known, keyframes=rows), int(np.searchsorted(anchors, 3))
     assert length(joined, path) == pytest.approx(steps.sum() - steps[second - 1])
     assert length(joined, path, second) == pytest.approx(steps[second:].sum())
+
+
+def test_stray_beams_do_not_make_the_map_small() -> None:
+    """A hall of 8 m by 6 m, and beams through a window that end up to 60 m away."""
+    pixels = np.full((700, 700), UNKNOWN, np.uint8)
+    pixels[600:660, 20:100] = FREE
+    for walls in ((slice(600, 660), [20, 21, 98, 99]), ([600, 601, 658, 659], slice(20, 100))):
+        pixels[walls] = OCCUPIED
+    pixels[[40, 90], [600, 300]] = OCCUPIED
+    pixels = np.kron(pixels, np.ones((2, 2), np.uint8))
+    image = MapImage(pixels, 0.05, np.zeros(2))
+    path = np.array([[4.0, 7.0], [8.0, 7.0]])
+    left, right, bottom, top = bounds(replace(scene(path, odometry=path), image=image, landmarks=()))
+    assert 1.5 < left <= 2.0
+    assert 10.0 <= right < 10.5
+    assert 3.5 < bottom <= 4.0
+    assert 10.0 <= top < 10.5

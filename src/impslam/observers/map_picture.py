@@ -23,6 +23,9 @@ MAX_POINTS = 4000
 """Maximum number of drawn points of a path: more than it has pixels."""
 MAX_LABELS = 40
 """Maximum number of labelled landmarks; more would hide the map."""
+STRAY_SHARE, MIN_CELLS = 0.5, 1000
+"""Percent of the occupied cells at each side that may be left out of the picture, and the number of cells
+that this needs: beams through windows and glass would make the map small."""
 DASH, GAP = 11.0, 7.0
 """Length of the true path's dashes and gaps, pixels."""
 MAX_STRETCH = 2.0
@@ -58,11 +61,10 @@ def map_png(scene: PictureContent) -> bytes:
 
 def bounds(scene: PictureContent) -> tuple[float, float, float, float]:
     """Return left, right, bottom, top of the drawn items, limited by `MAX_STRETCH`."""
-    left, right, bottom, top = scene.image.extent
     ends = [mark.end_points for mark in scene.landmarks if mark.end_points is not None]
     points = [mark for mark in scene.landmarks if mark.end_points is None]
     at = [mark.position[None] for mark in points]
-    box = _box(scene.path, scene.truth, *ends, *at, np.array([[left, bottom], [right, top]]))
+    box = _box(scene.path, scene.truth, *ends, *at, _seen(scene.image))
     max_side = MAX_STRETCH * np.ptp(box, axis=0).max()
     for more in ([ellipse(mark) for mark in points], [scene.odometry]):
         wider = _box(box, *more)
@@ -71,6 +73,16 @@ def bounds(scene: PictureContent) -> tuple[float, float, float, float]:
     low, high = box
     margin = 0.03 * max(*(high - low), 1.0)
     return low[0] - margin, high[0] + margin, low[1] - margin, high[1] + margin
+
+
+def _seen(image: MapImage) -> Array:
+    """Return the corners (2, 2) m of the occupied cells, without stray beams; or of all known cells."""
+    left, right, bottom, top = image.extent
+    rows, columns = np.nonzero(image.pixels == OCCUPIED)
+    if len(rows) < MIN_CELLS:
+        return np.array([[left, bottom], [right, top]])
+    cells = np.array([left, top]) + image.resolution * np.column_stack((columns, -rows))
+    return np.asarray(np.percentile(cells, (STRAY_SHARE, 100.0 - STRAY_SHARE), axis=0))
 
 
 def _box(*parts: Array) -> Array:

@@ -13,6 +13,7 @@ from impslam.config import Config
 from impslam.diagnosis.diagnose import SCANS, diagnose
 from impslam.diagnosis.finding import Finding
 from impslam.diagnosis.head import Head
+from impslam.odometry.stream_clocks import UNUSABLE
 from impslam.sensors.lidar2d import Lidar2D
 from impslam.sources.base import Problems, Source
 from impslam.types import Array, LaserScan, Message
@@ -118,6 +119,7 @@ class Survey:
         self.clocks: dict[str, StampStatistics] = {}
         self.beams = ScanGeometry()
         self.distance = self.rotation = 0.0
+        self._has_scans = False
         self.problems = Problems()
 
     def read(self, source: Source) -> Iterator[float]:
@@ -130,7 +132,8 @@ class Survey:
                 self._add(message)
                 yield message.stamp
         self._add_motions(self._robot.flush())
-        self._add_steps(self._robot.ahead().d_pose[None])
+        if not self._has_scans:
+            self._add_steps(self._robot.ahead().d_pose[None])
         self._check_log()
         self.findings = diagnose(self._config, self._head.batches, source.defaults())
 
@@ -146,9 +149,10 @@ class Survey:
             self.beams.add(message, next(lidars, None))
 
     def _add_motions(self, sensed: Iterable[tuple[Motions, Sweeps]]) -> None:
-        """Add the motions from scan to scan, so that odometry jitter in between is not counted."""
+        """Add the motions from scan to scan, as in the path of a run; jitter in between is not counted."""
         for motions, _ in sensed:
-            self._add_steps(motions.d_pose)
+            self._add_steps(motions.d_pose if self._has_scans else motions.d_pose[1:])
+            self._has_scans = self._has_scans or len(motions.d_pose) > 0
 
     def _add_steps(self, steps: Array) -> None:
         self.distance += float(np.hypot(steps[:, 0], steps[:, 1]).sum())
@@ -192,6 +196,8 @@ class Survey:
 
     def _check_clocks(self, name: str, motion: StampStatistics) -> None:
         sensor = self._robot.sensors[name]
+        if UNUSABLE in self.unused.counts:
+            return
         scans, latency = self.clocks[sensor.consumes.__name__], getattr(sensor, "latency", 0.0)
         if scans.last - latency < motion.first or scans.first - latency > motion.last:
             self.problems.add(

@@ -9,6 +9,7 @@ from tests.recorded import Played
 from tests.steps import Steps
 from tests.test_bad_input import hall, recorded
 
+from impslam.cli.survey import Survey
 from impslam.columns import batches
 from impslam.config import load
 from impslam.diagnosis.diagnose import diagnose
@@ -119,6 +120,17 @@ def test_broken_stamps_cost_no_accuracy(drive, sound, how, who, tmp_path):
     unknown = math.isnan(seconds)
     assert unknown or seconds == pytest.approx(sound.outcome.log_seconds, rel=0.2)
     assert not unknown or who == "both"
+
+
+@pytest.mark.parametrize("how", BROKEN)
+def test_inspect_and_a_run_measure_the_same_odometry(drive, how, tmp_path):
+    messages = spoilt(drive[0], BROKEN[how], (LaserScan,))
+    survey, kept = Survey(load("imp", SETTINGS)), mapped(Played.of(messages, tmp_path))
+    with Played.of(messages, tmp_path) as source:
+        assert len(list(survey.read(source))) == len(messages)
+    length = np.hypot(*np.diff(kept.odometry, axis=0)[:, :2].T).sum()
+    assert survey.distance == pytest.approx(length, rel=1e-4)
+    assert "clocks apart" not in survey.problems.counts
 
 
 @pytest.mark.parametrize("how", BROKEN)

@@ -119,7 +119,7 @@ class Survey:
         self.clocks: dict[str, StampStatistics] = {}
         self.beams = ScanGeometry()
         self.distance = self.rotation = 0.0
-        self._has_scans = False
+        self._scans, self._before = 0, list[Array]()  # the motion before the first scan
         self.problems = Problems()
 
     def read(self, source: Source) -> Iterator[float]:
@@ -132,8 +132,8 @@ class Survey:
                 self._add(message)
                 yield message.stamp
         self._add_motions(self._robot.flush())
-        if not self._has_scans:
-            self._add_steps(self._robot.ahead().d_pose[None])
+        if self._scans < 2:  # no path: all motion
+            self._add_steps(np.vstack((*self._before, self._robot.ahead().d_pose)))
         self._check_log()
         self.findings = diagnose(self._config, self._head.batches, source.defaults())
 
@@ -151,8 +151,11 @@ class Survey:
     def _add_motions(self, sensed: Iterable[tuple[Motions, Sweeps]]) -> None:
         """Add the motions from scan to scan, as in the path of a run; jitter in between is not counted."""
         for motions, _ in sensed:
-            self._add_steps(motions.d_pose if self._has_scans else motions.d_pose[1:])
-            self._has_scans = self._has_scans or len(motions.d_pose) > 0
+            steps = motions.d_pose
+            if not self._scans:
+                self._before, steps = [steps[:1]], steps[1:]
+            self._scans += len(motions.d_pose)
+            self._add_steps(steps)
 
     def _add_steps(self, steps: Array) -> None:
         self.distance += float(np.hypot(steps[:, 0], steps[:, 1]).sum())

@@ -56,7 +56,7 @@ MAX_UNTIMED = 0.1
 BY_STAMP, CLOCK_SET, WITH_ODOMETRY, BY_ORDER = range(4)
 """How a row is used: by its stamp; by its stamp, where its clock was set; by order, because of other rows;
 by order, because of its own stamp."""
-_LATE = 4  # by order, because it is older than the newest time, and the first row of its stream
+_LATE = 4  # by order, because it is the first row of its stream, and from before the log
 
 # Columns of a stream's newest row: its shift; its stamp, time, lag behind the newest time of all streams,
 # period, and how far other streams have leapt ahead since, all in s and of rows used by stamp.
@@ -212,7 +212,7 @@ def _begin(table: Array, shared: Array, stream: Array, stamp: float) -> None:
     now = shared[_NOW] if shared[_NOW] > -np.inf else stamp
     shift = _nearest(table, stamp, now, -np.inf, np.inf)
     stream[_SHIFT], stream[_STAMP], stream[_TIME] = shift, stamp, stamp + shift
-    if stamp + shift < now - JITTER:
+    if shared[_FIRST] < np.inf and stamp + shift < shared[_FIRST] - JITTER:
         stream[_HOW] = _LATE
     elif stamp + shift > now + LEAP:  # another clock, or a pause: no evidence of time
         shared[_EXCESS] += stamp + shift - now

@@ -34,8 +34,8 @@ class Timeline:
         if increment.duration > 0.0:
             self.latest = increment
 
-    def take(self, stamp):
-        return consume(self.pending, stamp, stamp == self.last)
+    def take(self, stamp, by_order=False):
+        return consume(self.pending, stamp, by_order or stamp == self.last)
 
     def ahead(self, stamp):
         return consume(self.pending.copy(), stamp, stamp == self.last)
@@ -76,6 +76,7 @@ class Row:
     end: float
     moment: float
     order: int
+    by_order: bool
     motion: Increment | None = None
     twist: object = None
     T_middle_stamp: object = None
@@ -94,19 +95,22 @@ class Reference:
         (row,) = single_row(stream, message, order).values()
         if stream == self.stream or stream in self.sensors:
             number = self.numbers.setdefault(stream, len(self.numbers))
-            (shift,), _ = self.clocks.shifts(np.array([number]), row.stamps)
+            reference = self.numbers.get(self.stream, -1)
+            placed, _ = self.clocks.place(np.array([number]), row.stamps, reference)
+            (shift,), (time,), (by_order,) = placed.shifts, placed.times, placed.by_order
         if stream == self.stream:
-            motions, _, _ = self.odometry.motions(row)
+            motions, _, _ = self.odometry.motions(row, placed)
             increment = motions.row(0)
             if np.isnan(increment.d_pose).any():
-                self.timeline.start(message.stamp + shift)
+                self.timeline.start(time)
             else:
-                self.timeline.add(replace(increment, stamp=increment.stamp + shift))
+                own = time if by_order else increment.stamp + shift
+                self.timeline.add(replace(increment, stamp=own))
         if stream in self.sensors:
             name, sensor = self.sensors[stream]
             (begin,), (end,) = sensor.spans(row)
-            moment = message.stamp + shift
-            self.waiting.append(Row(name, row, begin + shift, end + shift, moment, order))
+            begin, end = (time, time) if by_order else (begin + shift, end + shift)
+            self.waiting.append(Row(name, row, begin, end, time, order, by_order))
         self.release(order)
 
     def release(self, seen):
@@ -115,7 +119,8 @@ class Reference:
             row = self.waiting[0]
             together = row.begin == row.end and row.moment == timeline.last
             known = timeline.newest >= max(row.end, row.moment)
-            if not (together or known or seen - row.order >= MAX_WAIT):
+            late = seen - row.order >= MAX_WAIT
+            if not (row.by_order or together or known or late):
                 return
             self.waiting.popleft()
             if self.sensors[row.columns.stream][1].usable(row.columns).all():
@@ -123,7 +128,7 @@ class Reference:
 
     def use(self, row):
         timeline, middle = self.timeline, 0.5 * (row.begin + row.end)
-        before = timeline.take(row.begin)
+        before = timeline.take(row.begin, row.by_order)
         row.twist = timeline.twist(row.begin, row.end)
         until = min(max(row.begin, row.moment), middle)
         before = before.then(timeline.take(until))

@@ -173,7 +173,7 @@ def test_any_cutting_gives_the_same_bytes(recording):
         assert robot.elapsed == robots[1].elapsed
         assert robot.ahead().d_pose.tobytes() == robots[1].ahead().d_pose.tobytes()
     assert robots[1].problems.counts.keys() == {
-        "odometry", "scan", "scan without valid beams", "clock step"
+        "odometry", "scan", "scan without valid beams", "clock step", "unusable stamp"
     }  # fmt: skip
 
 

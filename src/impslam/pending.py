@@ -29,6 +29,7 @@ class PendingRows:
     columns : the rows
     begins, ends, stamps : (w,) s on the common time line of all streams
     usable : (w,) rows that can be used
+    by_order : (w,) rows that get the odometry before them in the log, whatever the stamps
     """
 
     name: str
@@ -38,6 +39,7 @@ class PendingRows:
     ends: Array
     stamps: Array
     usable: Mask
+    by_order: Mask
 
     def take(self, rows: slice | Mask) -> PendingRows:
         """Return some of the rows."""
@@ -48,6 +50,7 @@ class PendingRows:
             ends=self.ends[rows],
             stamps=self.stamps[rows],
             usable=self.usable[rows],
+            by_order=self.by_order[rows],
         )
 
     def sweeps(self, synchronised: Synchronised) -> Sweeps:
@@ -79,6 +82,7 @@ class PendingQueue:
             _joined([part.columns.order for part in parts], np.int64),
             *(_joined([getattr(part, name) for part in parts]) for name in _TIMES),
             _joined([part.usable for part in parts], np.bool_),
+            _joined([part.by_order for part in parts], np.bool_),
         ]
         if len(parts) > 1:
             order = np.argsort(columns[1])

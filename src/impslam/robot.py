@@ -17,6 +17,7 @@ import numpy as np
 
 from impslam.columns import Batch, Columns, Motions, Sweeps
 from impslam.odometry.base import Odometry, diagonal
+from impslam.odometry.clocks import BY_ORDER, Placed
 from impslam.odometry.gyro import GyroFusion
 from impslam.odometry.stream import OdometryStream, unknown_motions
 from impslam.odometry.stream_clocks import StreamClocks
@@ -25,7 +26,7 @@ from impslam.pending import PendingQueue, PendingRows
 from impslam.sensors.base import Sensor
 from impslam.sources.base import Problems
 from impslam.streams import Reader, Streams
-from impslam.types import Array, Imu, Increment, Ints, Observation
+from impslam.types import Imu, Increment, Ints, Observation
 
 TWIST_SIGMA = np.array([0.5, 0.5, 1.0])
 """m/s, m/s, rad/s, sigma of the motion within a sweep without odometry: half a walking pace."""
@@ -54,7 +55,7 @@ class Robot:
         self._gyro = GyroFusion(odometry.gyro, odometry.lever)
         self._odometry_stream, self._synchroniser = OdometryStream(odometry), Synchroniser()
         self._queue, self._clocks = PendingQueue(), StreamClocks()
-        self._shift = 0.0  # s, shift of the odometry stamps
+        self._shift = 0.0  # s, from the newest odometry stamp to its time
         # Position in the log, kind, example, count.
         self._faults: list[tuple[int, str, str, int]] = []
 
@@ -72,21 +73,21 @@ class Robot:
             name = columns.kind.__name__
             self.counts[name] = self.counts.get(name, 0) + len(columns)
         used = self.streams.used(batch)
-        shift_of_each, steps = self._clocks.shifts(used)
-        self._faults += [(at, "clock step", text, 1) for at, text in steps]
-        shifts = dict(zip((c.stream for c in used), shift_of_each, strict=True))
+        each, reports = self._clocks.place(used, self.streams.odometry.stream)
+        self._faults += reports
+        placed = dict(zip((c.stream for c in used), each, strict=True))
         odometry = [c for c in used if c.stream == self.streams.odometry.stream]
         gyro = self.streams.gyro
         turns = next((c for c in used if gyro and c.stream == gyro.stream), None)
         rows = [
-            self._pending_rows(name, columns, shifts[columns.stream])
+            self._pending_rows(name, columns, placed[columns.stream])
             for name, reader in self.streams.sensors.items()
             for columns in used
             if columns.stream == reader.stream
         ]
-        order, motions = self._motions(odometry, shifts)
+        order, motions = self._motions(odometry, placed)
         if gyro and gyro.stream:
-            motions = self._corrected(order, motions, turns, shifts)
+            motions = self._corrected(order, motions, turns, placed)
         found = self._synchronise(order, motions, rows, last)
         self._record_faults()
         return iter(found)
@@ -126,31 +127,32 @@ class Robot:
 
     @property
     def elapsed(self) -> float:
-        """Duration of the log so far in s, corrected for clocks that were set."""
+        """Duration of the log so far in s, corrected for clocks that were set; NaN if unknown."""
         return self._clocks.elapsed
 
     # ------------------------------------------------------------------ steps
 
     def _motions(
-        self, odometry: list[Columns], shifts: Mapping[str, Array]
+        self, odometry: list[Columns], placed: Mapping[str, Placed]
     ) -> tuple[Ints, Motions]:
         """Return (m,) positions of the odometry rows in the log, and their motions."""
         if not odometry:
             return np.empty(0, np.int64), unknown_motions(np.empty(0))
         (rows,) = odometry
-        shift = shifts[rows.stream]
-        self._shift = float(shift[-1])
-        motions, faults, example = self._odometry_stream.motions(rows)
+        times = placed[rows.stream]
+        self._shift = float(times.times[-1] - rows.stamps[-1])
+        motions, faults, example = self._odometry_stream.motions(rows, times)
         if example:
             first = int(rows.order[np.argmax(faults)])
             self._faults.append((first, "odometry", example, int(faults.sum())))
-        return rows.order, motions._replace(stamps=motions.stamps + shift)
+        stamps = np.where(times.how == BY_ORDER, times.times, motions.stamps + times.shifts)
+        return rows.order, motions._replace(stamps=stamps)
 
     def _corrected(
-        self, order: Ints, motions: Motions, turns: Columns | None, shifts: Mapping[str, Array]
+        self, order: Ints, motions: Motions, turns: Columns | None, placed: Mapping[str, Placed]
     ) -> Motions:
         """Return the motions with turns corrected by the gyro; record wheel slip."""
-        stamps = np.empty(0) if turns is None else turns.stamps + shifts[turns.stream]
+        stamps = np.empty(0) if turns is None else placed[turns.stream].times
         motions, apart = self._gyro.correct(order, motions, turns, stamps)
         for found in apart:
             text = (
@@ -161,18 +163,17 @@ class Robot:
             self._faults.append((int(order[-1]), "wheel slip", text, 1))
         return motions
 
-    def _pending_rows(self, name: str, columns: Columns, shift: Array) -> PendingRows:
+    def _pending_rows(self, name: str, columns: Columns, placed: Placed) -> PendingRows:
         """Return the rows of a sensor for the queue; record the unusable ones as faults."""
-        sensor = self.sensors[name]
-        begins, ends = sensor.spans(columns)
+        sensor, shift = self.sensors[name], placed.shifts
+        spans, by_order = sensor.spans(columns), placed.by_order
+        begins, ends = (np.where(by_order, placed.times, at + shift) for at in spans)
         usable = sensor.usable(columns)
         if not usable.all():
             first = int(np.argmin(usable))
             example, count = sensor.fault(columns.row(first)), int(np.sum(~usable))
             self._faults.append((int(columns.order[first]), sensor.row_name, example, count))
-        return PendingRows(
-            name, sensor, columns, begins + shift, ends + shift, columns.stamps + shift, usable
-        )
+        return PendingRows(name, sensor, columns, begins, ends, placed.times, usable, by_order)
 
     def _synchronise(
         self, order: Ints, motions: Motions, rows: list[PendingRows], last: int

@@ -136,7 +136,9 @@ def test_stray_beams_do_not_make_the_map_small() -> None:
     pixels = np.kron(pixels, np.ones((2, 2), np.uint8))
     image = MapImage(pixels, 0.05, np.zeros(2))
     path = np.array([[4.0, 7.0], [8.0, 7.0]])
-    left, right, bottom, top = bounds(replace(scene(path, odometry=path), image=image, landmarks=()))
+    left, right, bottom, top = bounds(
+        replace(scene(path, odometry=path), image=image, landmarks=())
+    )
     assert 1.5 < left <= 2.0
     assert 10.0 <= right < 10.5
     assert 3.5 < bottom <= 4.0

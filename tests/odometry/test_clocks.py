@@ -28,8 +28,8 @@ def placed(messages, cut=1):
         part = messages[k : k + cut]
         streams = np.array([numbers.setdefault(name, len(numbers)) for name, _, _ in part])
         stamps = np.array([stamp for _, stamp, _ in part])
-        shifts, found = clocks.shifts(streams, stamps)
-        times += (stamps + shifts).tolist()
+        rows, found = clocks.place(streams, stamps)
+        times += rows.times.tolist()
         steps += [step._replace(row=step.row + k) for step in found]
     return [m[0] for m in messages], np.array(times), np.array([m[2] for m in messages]), steps
 

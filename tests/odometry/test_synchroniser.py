@@ -27,12 +27,14 @@ def moving(stamps):
     )
 
 
-def sweeps(begins, ends=None, stamps=None, order=None, usable=True):
+def sweeps(begins, ends=None, stamps=None, order=None, usable=True, by_order=False):
     begins = np.array(begins, np.float64)
     ends = begins if ends is None else np.array(ends, np.float64)
     stamps = begins if stamps is None else np.array(stamps, np.float64)
     order = 1000 + np.arange(len(begins)) if order is None else np.array(order)
-    return PendingSweeps(order, begins, ends, stamps, np.full(len(begins), usable))
+    return PendingSweeps(
+        order, begins, ends, stamps, np.full(len(begins), usable), np.full(len(begins), by_order)
+    )
 
 
 def fed(stamps, order=0, **parameters):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -10,6 +11,7 @@ import numpy as np
 from impslam.columns import Batch, Columns, join, same_layout
 from impslam.config import Config
 from impslam.errors import ConfigError
+from impslam.odometry.clocks import MAX_UNTIMED
 from impslam.odometry.stream_clocks import StreamClocks
 from impslam.sensors.lidar2d import Lidar2D
 from impslam.sources.base import Source
@@ -27,12 +29,14 @@ class CalibrationRows:
     scans : sweeps of one lidar
     gyro : (g, 2) s and rad/s, the yaw rates of an inertial unit
     truth : (t, 4) s, m, m, rad, true poses of base_link; for scoring
+    untimed : whether many rows of odometry or scans have unusable stamps (see `odometry.clocks`)
     """
 
     odometry: tuple[Columns, ...]
     scans: tuple[Columns, ...]
     gyro: Array
     truth: Array
+    untimed: bool = False
 
 
 def first_lidar(config: Config) -> tuple[str, Lidar2D]:
@@ -89,20 +93,25 @@ def _streams(config: Config) -> Streams:
 
 
 def _record(streams: Streams, batches: Iterable[Batch]) -> CalibrationRows:
-    clocks, kept = StreamClocks(), dict[str, list[Columns]]()
+    clocks, kept, by_order = StreamClocks(), dict[str, list[Columns]](), Counter[str]()
     for batch in batches:
         rows = [c for c in batch.values() if c.kind in (Imu, TruePose) and len(c)]
         rows += [c for c in streams.used(batch) if c not in rows]
-        for columns, shift in zip(rows, clocks.shifts(rows)[0], strict=True):
-            values = {**columns.values, "stamp": columns.stamps + shift}
+        found, _ = clocks.place(rows, streams.odometry.stream)
+        for columns, placed in zip(rows, found, strict=True):
+            by_order[columns.stream] += int(placed.by_order.sum())
+            values = {**columns.values, "stamp": placed.times}
             kept.setdefault(columns.stream, []).append(replace(columns, values=values))
     (lidar,) = streams.sensors.values()
     every = [columns for pieces in kept.values() for columns in pieces]
+    names = {streams.odometry.stream, lidar.stream} & kept.keys()
+    untimed = any(by_order[n] > MAX_UNTIMED * sum(map(len, kept[n])) for n in names)
     return CalibrationRows(
         _joined(kept.get(streams.odometry.stream, [])),
         tuple(c for c in _joined(kept.get(lidar.stream, [])) if len(c["angles"])),
         _table([c for c in every if c.kind is Imu], lambda c: c["angular_velocity"][:, 2:], 2),
         _table([c for c in every if c.kind is TruePose], lambda c: c["pose"], 4),
+        untimed,
     )
 
 

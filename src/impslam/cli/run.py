@@ -163,11 +163,16 @@ def _continuing_config(config: Config, changes: list[str], *, quiet: bool) -> Co
     return able
 
 
+def _duration(seconds: float) -> str:
+    known = math.isfinite(seconds)
+    return f"{seconds:.1f} s" if known else "an unknown time: its stamps are unusable"
+
+
 def show_result(known: Map, outcome: Outcome, folder: Path, *, with_speed: bool = True) -> None:
     """Print the results of a run; `with_speed` prints its speed, meaningless after a live replay."""
     from impslam.observers.summary import compiled, length, loops, real_time_factor
 
-    counts, seconds = outcome.counts, outcome.log_seconds
+    counts, seconds, factor = outcome.counts, outcome.log_seconds, real_time_factor(outcome)
     kinds = Counter(landmark.kind for landmark in known.landmarks)
     found = ", ".join(f"{n} {kind}" for kind, n in sorted(kinds.items())) or "none"
     closed = loops(counts)
@@ -178,12 +183,12 @@ def show_result(known: Map, outcome: Outcome, folder: Path, *, with_speed: bool 
             "log": str(outcome.log),
             **({"odometry": "none, mapped by the lidar alone"} if outcome.lidar_alone else {}),
             "scans": f"{counts['steps']} used",
-            "path": f"{travel:.2f} m in {seconds:.1f} s",
+            "path": f"{travel:.2f} m in {_duration(seconds)}",
             "landmarks": found,
             **({"loops": closed} if closed else {}),
             "time": f"{outcome.wall_seconds:.1f} s"
             + (f" ({compiled(outcome)}, once)" if compiled(outcome) else "")
-            + (f", {real_time_factor(outcome):.0f} times real time" if with_speed else ""),
+            + (f", {factor:.0f} times real time" if with_speed and math.isfinite(factor) else ""),
         }
     )
     for kind, dropped in outcome.dropped.items():

@@ -15,6 +15,7 @@ from impslam.config import Config
 from impslam.diagnosis.diagnose import SCANS, diagnose
 from impslam.diagnosis.finding import Finding
 from impslam.diagnosis.head import Head
+from impslam.odometry.stream_clocks import UNUSABLE
 from impslam.sensors.lidar2d import Lidar2D
 from impslam.sources.base import Problems, Source
 from impslam.types import Array, LaserScan, Message
@@ -134,6 +135,7 @@ class Survey:
         self.clocks: dict[str, StampStatistics] = {}
         self.beams = ScanGeometry()
         self.distance = self.rotation = 0.0
+        self._scans, self._before = 0, list[Array]()  # the motion before the first scan
         self.problems = Problems()
 
     def read(self, source: Source) -> Iterator[float]:
@@ -146,7 +148,8 @@ class Survey:
                 self._add(message)
                 yield message.stamp
         self._add_motions(self._robot.flush())
-        self._add_steps(self._robot.ahead().d_pose[None])
+        if self._scans < 2:  # no path: all motion
+            self._add_steps(np.vstack((*self._before, self._robot.ahead().d_pose)))
         self._check_log()
         self.findings = diagnose(self._config, self._head.batches, source.defaults())
 
@@ -168,9 +171,13 @@ class Survey:
             self.beams.add(message, next(lidars, None))
 
     def _add_motions(self, sensed: Iterable[tuple[Motions, Sweeps]]) -> None:
-        """Add the motions from scan to scan, so that odometry jitter in between is not counted."""
+        """Add the motions from scan to scan, as in the path of a run; jitter in between is not counted."""
         for motions, _ in sensed:
-            self._add_steps(motions.d_pose)
+            steps = motions.d_pose
+            if not self._scans:
+                self._before, steps = [steps[:1]], steps[1:]
+            self._scans += len(motions.d_pose)
+            self._add_steps(steps)
 
     def _add_steps(self, steps: Array) -> None:
         self.distance += float(np.hypot(steps[:, 0], steps[:, 1]).sum())
@@ -222,6 +229,8 @@ class Survey:
 
     def _check_clocks(self, name: str, motion: StampStatistics) -> None:
         sensor = self._robot.sensors[name]
+        if UNUSABLE in self.unused.counts:
+            return
         scans, latency = self.clocks[sensor.consumes.__name__], getattr(sensor, "latency", 0.0)
         if scans.last - latency < motion.first or scans.first - latency > motion.last:
             self.problems.add(

@@ -13,7 +13,8 @@ from impslam.calibration.recording import CalibrationRows, first_lidar
 from impslam.columns import Columns
 from impslam.config import Config
 from impslam.diagnosis.agreement import MIN_STRETCHES, Agreement, Axis, drive_axis, fit_agreement
-from impslam.diagnosis.timing import Timing, estimate_timing
+from impslam.diagnosis.file_order import in_file_order
+from impslam.diagnosis.timing import Timing, estimate_timing, no_timing
 from impslam.diagnosis.travel import Odometer, SweepMotions, make_odometer, stretches, sweep_motions
 from impslam.odometry.base import Odometry
 from impslam.sensors.lidar2d import Lidar2D
@@ -30,7 +31,7 @@ class Evidence:
     Attributes
     ----------
     config, name, lidar, odometry : the config, its first lidar with its name, its odometry
-    recording : the rows of the log
+    recording : the rows of the log; with times by their order if it is `untimed`
     path : the lidar's path by its scans alone
     sweep_motions : the motions along it, with stamps as received
     timing : when scans were taken
@@ -39,6 +40,7 @@ class Evidence:
     axis : driving direction, from the laser; None if it cannot be determined
     axle_motion : (k, 2) m, rad: motion of the axle by the laser, in the sense of `axis`
     agreement : fit of odometry to that; None if there is no axis
+    odometry_total : m + rad, all motion by odometry, also where the laser's is unknown
     """
 
     config: Config
@@ -55,6 +57,12 @@ class Evidence:
     axis: Axis | None
     axle_motion: Array
     agreement: Agreement | None
+    odometry_total: float
+
+    @property
+    def untimed(self) -> bool:
+        """Whether the log has no usable times; findings that need them are not made."""
+        return self.recording.untimed
 
     @property
     def lidar_key(self) -> str:
@@ -81,12 +89,15 @@ def gather_evidence(config: Config, recording: CalibrationRows) -> Evidence:
     """Compare the lidar's motions in a recording with odometry; the config must have a lidar."""
     robot = config.make_robot()
     name, lidar = first_lidar(config)
+    if recording.untimed:
+        recording = in_file_order(recording)
     path = lidar_path(lidar, recording.scans)
     sweeps = sweep_motions(path)
     odometer = make_odometer(
         robot.odometry, recording.odometry if robot.odometry.measures_motion else ()
     )
-    timing = estimate_timing(sweeps, odometer, lidar)
+    untimed = recording.untimed
+    timing = no_timing(sweeps) if untimed else estimate_timing(sweeps, odometer, lidar)
     begins, ends = _known_stretches(sweeps, odometer, timing.stamps)
     times = np.column_stack((timing.stamps[begins], timing.stamps[ends]))
     sums = np.cumsum(sweeps.twists, axis=0)
@@ -103,8 +114,12 @@ def gather_evidence(config: Config, recording: CalibrationRows) -> Evidence:
             agreement = fit_agreement(axle_motion, odometry_motion)
     return Evidence(
         config, name, lidar, robot.odometry, recording, path, sweeps, timing, times,
-        lidar_motion, odometry_motion, axis, axle_motion, agreement,
+        lidar_motion, odometry_motion, axis, axle_motion, agreement, _total(odometer),
     )  # fmt: skip
+
+
+def _total(odometer: Odometer) -> float:
+    return float(np.abs(np.diff(odometer.sums[:, [0, 2]], axis=0)).sum())
 
 
 def motion_along(twists: Array, angle: float) -> Array:

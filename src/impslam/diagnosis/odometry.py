@@ -26,13 +26,15 @@ def check_odometry(e: Evidence) -> list[Finding]:
         return []
     if still := _stands_still(e):
         return [still]
-    return [*find_unsigned(e), *_stops(e)]
+    return [*find_unsigned(e), *(() if e.untimed else _stops(e))]
 
 
 def _stands_still(e: Evidence) -> Finding | None:
     if e.odometry_moves:
         return None
     distance, turn = np.abs(e.axle_motion).sum(axis=0)
+    if e.odometry_total > MAX_STILL * (distance + turn):  # it moves, at other times
+        return None
     return Finding(
         "odometry stands still",
         f"odometry stands still while the laser moves {distance:.1f} m and turns "

@@ -50,6 +50,11 @@ def _is_better(smooth: Lag | None, raw: Lag | None) -> bool:
     return smooth is not None and raw is not None and smooth.rms < MAX_JITTER_RATIO * raw.rms
 
 
+def no_timing(motion: SweepMotions) -> Timing:
+    """Return the timing of a log without usable stamps, whose times are by order."""
+    return Timing(0.0, None, None, False, 0.0, motion.stamps)
+
+
 def estimate_timing(motion: SweepMotions, odometer: Odometer, lidar: Lidar2D) -> Timing:
     """Estimate when the scans of a laser's motions were taken."""
     steps = np.diff(motion.stamps)

@@ -32,7 +32,8 @@ class Outcome:
     counts : messages by type, scans, landmarks, and loops tried and closed if the estimator closes loops
     dropped : unused data by kind of problem
     stages : durations in s by stage ("sense", "track", "look", "estimate", and once "settle")
-    log_seconds : from the first to the last used message, corrected for clocks that were set
+    log_seconds : from the first to the last used message, corrected for clocks that were set;
+        NaN if the stamps are unusable
     wall_seconds : duration of the run, s
     compile_seconds : part of it spent compiling, in the first run of a version
     state_size : number of scalars in the filter state at the end

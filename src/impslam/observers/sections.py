@@ -63,7 +63,9 @@ def _loops(outcome: Outcome) -> dict[str, tuple[str, str]]:
 
 
 def duration(seconds: float) -> str:
-    """Return a duration in readable units."""
+    """Return a duration in readable units; NaN is unknown."""
+    if math.isnan(seconds):
+        return "unknown"
     if seconds < 120.0:
         return f"{seconds:.1f} s"
     minutes, rest = divmod(round(seconds), 60)

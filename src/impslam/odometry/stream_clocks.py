@@ -3,29 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TypeAlias
 
 import numpy as np
 
 from impslam.columns import Columns
-from impslam.odometry.clocks import Clocks
-from impslam.types import Array
+from impslam.odometry.clocks import BY_ORDER, Clocks, Placed
+
+STEP, UNUSABLE = "clock step", "unusable stamp"
+"""Kinds of problem: a clock that was set, and a row whose stamp is not used."""
+
+Reports: TypeAlias = list[tuple[int, str, str, int]]
+"""Position in the log, kind, example, count."""
 
 
 class StreamClocks:
-    """Computes the shifts of streams to the common time line; see `clocks`."""
+    """Places the rows of streams on the common time line; see `clocks`."""
 
     def __init__(self) -> None:
         self._clocks, self._numbers = Clocks(), dict[str, int]()
 
     @property
     def elapsed(self) -> float:
-        """Time since the first row, s on the common time line."""
+        """Time since the first row, s on the common time line; NaN if few stamps are usable."""
         return self._clocks.elapsed
 
-    def shifts(self, used: Sequence[Columns]) -> tuple[list[Array], list[tuple[int, str]]]:
-        """Return the shifts (m,) s of the rows of each of the columns, and the clocks that were set.
+    def place(self, used: Sequence[Columns], odometry: str = "") -> tuple[list[Placed], Reports]:
+        """Return the times of the rows of each of the columns, and what was found in their stamps.
 
-        The latter are pairs of the position in the log where the step was detected, and a message.
+        `odometry` is the stream whose order the others follow; see `Clocks.place`.
         """
         if not used:
             return [], []
@@ -34,14 +40,35 @@ class StreamClocks:
         number = [self._numbers.setdefault(c.stream, len(self._numbers)) for c in used]
         streams = np.repeat(np.array(number), lengths)
         stamps = np.concatenate([columns.stamps for columns in used])
-        sorting, shifts = np.argsort(order), np.empty(len(order))
-        shifts[sorting], steps = self._clocks.shifts(streams[sorting], stamps[sorting])
+        sorting, back = np.argsort(order), np.empty(len(order), np.int64)
+        back[sorting] = np.arange(len(order))
+        reference = self._numbers.get(odometry, -1)
+        placed, steps = self._clocks.place(streams[sorting], stamps[sorting], reference)
         names = list(self._numbers)
-        reports = [
+        reports: Reports = [
             (
                 int(order[sorting[step.row]]),
+                STEP,
                 f"the clock {step} ({names[step.stream]}); motion is kept in file order",
+                1,
             )
             for step in steps
         ]
-        return np.split(shifts, np.cumsum(lengths)[:-1]), reports
+        parts = np.split(back, np.cumsum(lengths)[:-1])
+        each = [placed.take(part) for part in parts]
+        for columns, rows in zip(used, each, strict=True):
+            reports += _unusable(columns, rows)
+        return each, reports
+
+
+def _unusable(columns: Columns, placed: Placed) -> Reports:
+    """Report the rows whose own stamps are not used, if there are any."""
+    wrong = placed.how == BY_ORDER
+    if not wrong.any():
+        return []
+    first = int(np.argmax(wrong))
+    text = (
+        f"the stamp {columns.stamps[first]:.7g} s of {columns.stream} contradicts the order of the log "
+        f"at {placed.times[first]:.3f} s; such rows are used in file order, and no motion is lost"
+    )
+    return [(int(columns.order[first]), UNUSABLE, text, int(wrong.sum()))]

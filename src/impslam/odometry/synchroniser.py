@@ -5,6 +5,8 @@ odometry has the same stamp (both were then recorded together, and all motion be
 but for at most `MAX_WAIT` rows of the log. It gets the motion from the middle of the previous sweep to
 its own middle. A motion that spans the middle is split there, at constant twist.
 
+Where stamps are unusable (see `clocks`), a sweep gets all odometry before it in the log, and does not wait.
+
 Motions are kept and composed in `timeline`.
 """
 
@@ -47,7 +49,7 @@ END = np.iinfo(np.int64).max
 
 _State: TypeAlias = tuple[Array, Ints, Array]  # pending, ring, marks
 _Odometry: TypeAlias = tuple[Ints, Array, Array, Array, Array]  # order, `Motions`
-_Sweeps: TypeAlias = tuple[Ints, Array, Array, Array, Mask]  # `PendingSweeps`
+_Sweeps: TypeAlias = tuple[Ints, Array, Array, Array, Mask, Mask]  # `PendingSweeps`
 
 
 class PendingSweeps(NamedTuple):
@@ -58,6 +60,7 @@ class PendingSweeps(NamedTuple):
     order : (w,) strictly increasing, position in the log
     begins, ends, stamps : (w,) s on the common time line
     usable : (w,) whether each gets motion; the others wait in order and are skipped
+    by_order : (w,) whether each gets the motions before it in the log, whatever their stamps
     """
 
     order: Ints
@@ -65,6 +68,7 @@ class PendingSweeps(NamedTuple):
     ends: Array
     stamps: Array
     usable: Mask
+    by_order: Mask
 
 
 class Synchronised(NamedTuple):
@@ -134,14 +138,13 @@ def _squares(rows: Array) -> Array:
 
 
 @kernel
-def _use(
-    pending: Array, ring: Ints, marks: Array, begin: float, end: float, stamp: float, out: Array
-) -> None:
+def _use(state: _State, begin: float, end: float, stamp: float, by_order: bool, out: Array) -> None:
     """Write a sweep's motion, its twist, and the motion from its middle to its stamp."""
+    pending, ring, marks = state
     middle, last = 0.5 * (begin + end), marks[LAST]
     motion, since, ahead = out[:WIDTH], np.zeros(WIDTH), np.zeros(WIDTH)
     motion[:] = 0.0
-    consume(pending, ring, begin, begin == last, motion, False)
+    consume(pending, ring, begin, by_order or begin == last, motion, False)
     mean_twist(pending, ring, marks, begin, end - begin, out[WIDTH : WIDTH + 3])
     until = min(max(begin, stamp), middle)
     consume(pending, ring, until, until == last, motion, False)
@@ -188,14 +191,14 @@ def _release(
     state: _State, sweeps: _Sweeps, used: int, arrived: int, last_row: int, out: Array
 ) -> int:
     """Use the sweeps from index `used` on that are ready; return the new number of used sweeps."""
-    pending, ring, marks = state
-    order, begins, ends, stamps, usable = sweeps
+    order, begins, ends, stamps, usable, by_order = sweeps
     while used < arrived:
         begin, end, stamp = begins[used], ends[used], stamps[used]
-        if not _ready(marks, begin, end, stamp, last_row - order[used]):
+        waited = last_row - order[used]
+        if not by_order[used] and not _ready(state[2], begin, end, stamp, waited):
             break
         if usable[used]:
-            _use(pending, ring, marks, begin, end, stamp, out[used])
+            _use(state, begin, end, stamp, by_order[used], out[used])
         used += 1
     return used
 

@@ -9,7 +9,6 @@ is searched for around several predictions.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
@@ -21,7 +20,7 @@ from impslam.geometry.kernels import kernel
 from impslam.health import ELSEWHERE, UNEXPLAINED
 from impslam.noise import UNKNOWN
 from impslam.surfaces.features import Features, find_features, leave_out_grazing
-from impslam.surfaces.surface_map import Alignment, FitSums, align
+from impslam.surfaces.surface_map import Alignment, align
 from impslam.tracking.base import Gate, Steps, add_travel, reaches_limit
 from impslam.tracking.contradictions import MIN_CONTRADICTED, contradicted_share
 from impslam.tracking.hypotheses import (
@@ -31,11 +30,10 @@ from impslam.tracking.hypotheses import (
     near_constant_velocity,
     search,
 )
-from impslam.tracking.learned_odometry import LearnedOdometry, correct, learn, variances
+from impslam.tracking.learned_odometry import correct, learn, variances
 from impslam.tracking.match_faults import (
     MIN_FIT,
     WINDOW,
-    MatchFaults,
     MatchQuality,
     add_fit,
     add_misfit,
@@ -44,8 +42,8 @@ from impslam.tracking.match_faults import (
     fits_poorly,
 )
 from impslam.tracking.match_information import add_along, add_drift, information, remove_spurious
-from impslam.tracking.reference_scan import Geometry
-from impslam.tracking.submaps import Submaps, extend, is_empty, older_map
+from impslam.tracking.matching_state import BeamColumns, Match, Settings, State
+from impslam.tracking.submaps import extend, is_empty, older_map
 from impslam.types import Array, Mask
 
 MIN_MOTION = (0.05, 0.04)
@@ -85,77 +83,6 @@ to 0.5 m/s work equally well."""
 MAX_COAST = 1.0
 """s: bound of the time between scans, whose stamps may jump; its lower bound is the mean, as they may also
 stand still."""
-
-
-class Settings(NamedTuple):
-    """Parameters of scan matching; see `ScanToMap`."""
-
-    match: Alignment
-    length: float
-    spacing: float
-    turn: float
-    thin: float
-    drift: Array
-
-
-class LidarState(NamedTuple):
-    """The last scans of one lidar.
-
-    Attributes
-    ----------
-    ranges : (n,) m, of its newest matched scan; 0 where invalid
-    pose : (3,) of base_link at that scan, in the frame of the submaps
-    added : (3,) pose of its newest scan in the submaps; NaN before the first
-    """
-
-    ranges: Array
-    pose: Array
-    added: Array
-
-
-class State(NamedTuple):
-    """State of the tracker; kernels change all of it in place.
-
-    Attributes
-    ----------
-    submaps, odometry : the last metres, and the learned bias and noise of odometry
-    pose, matched : (3,) in the frame of the submaps: now, and at the newest match
-    motion, covariance : (3,), (3, 3) by odometry since the newest match
-    travelled : (3,) m, rad and s of that motion
-    velocity : (3,) motion between the last two matches
-    prior : (2,) variances of the predicted pose: m^2 along each axis, rad^2
-    unlocated : (1,) s since a scan last determined the velocity of a robot without odometry
-    averages : (4,) running means of the inlier share, of the squared distance, m^2, of the time
-        between scans, s, and of that between matches, s
-    evidence : of the newest match
-    faults : whether the newest scans fit the submaps
-    lidar : the last scans of the lidar whose sweeps are followed
-    """
-
-    submaps: Submaps
-    odometry: LearnedOdometry
-    pose: Array
-    matched: Array
-    motion: Array
-    covariance: Array
-    travelled: Array
-    velocity: Array
-    prior: Array
-    unlocated: Array
-    averages: Array
-    evidence: FitSums
-    faults: MatchFaults
-    lidar: LidarState
-
-
-class BeamColumns(NamedTuple):
-    """The columns of `Scans` that matching uses, and the directions of the beams."""
-
-    points: Array
-    valid: Mask
-    ranges: Array
-    origins: Array
-    geometry: Geometry
 
 
 @kernel
@@ -315,17 +242,25 @@ def _match(
     else:
         state.averages[0] += MEMORY[0] * (share - usual)
         add_fit(state.faults, fit, usual)
+    _move(Match(guess, fit, usual, H, W), k, no_odometry, state, settings, out)
+
+
+@kernel
+def _move(
+    match: Match, k: int, no_odometry: bool, state: State, settings: Settings, out: Steps
+) -> None:
+    """Update the state with the motion to a match, fused with the prior, and write that motion."""
     located = MAX_LOCATED_SIGMA**-2
     enough = located if no_odometry else min(1.0 / state.prior[0], located)
-    weakest, strongest, axis = information(H)
+    weakest, strongest, axis = information(match.H)
     well_constrained = weakest > enough and weakest > MIN_INFORMATION_RATIO * strongest
-    out.located[k] = share >= MIN_FIT * usual and well_constrained
+    out.located[k] = match.fit.share >= MIN_FIT * match.usual and well_constrained
     if not no_odometry:
-        _learn(state, fit, out.located[k])
+        _learn(state, match.fit, out.located[k])
     covariance = rotate_covariance(state.covariance, state.matched[2])
-    _fuse(state, settings, guess, H, W, covariance)
+    _fuse(state, settings, match.guess, match.H, match.W, covariance)
     between(state.matched, state.pose, state.velocity)
-    far = W[0] * state.prior[0] < 0.1  # beyond three times the range of full weight
+    far = match.W[0] * state.prior[0] < 0.1  # beyond three times the range of full weight
     if no_odometry:
         _coast(state, out.located[k], weakest, axis, covariance)
     odometry_motion = state.velocity if no_odometry else state.motion

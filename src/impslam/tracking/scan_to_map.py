@@ -15,16 +15,9 @@ from impslam.surfaces.surface_map import Alignment, no_evidence
 from impslam.tracking.base import Gate, Steps, Tracker
 from impslam.tracking.learned_odometry import initial_odometry
 from impslam.tracking.match_faults import initial_faults
+from impslam.tracking.matching_state import BeamColumns, LidarState, Settings, State
 from impslam.tracking.reference_scan import Geometry, geometry_of
-from impslam.tracking.scan_matching import (
-    USUAL_RMS,
-    USUAL_SHARE,
-    BeamColumns,
-    LidarState,
-    Settings,
-    State,
-    follow,
-)
+from impslam.tracking.scan_matching import USUAL_RMS, USUAL_SHARE, follow
 from impslam.tracking.submaps import empty_submaps
 from impslam.types import Array
 

@@ -1,0 +1,54 @@
+"""Times of a log with unusable stamps for a diagnosis, by the order of its rows.
+
+Scans get a steady period. The last row of odometry before a scan gets its time, since both were taken
+together as far as is known, and other rows are spread evenly between two scans.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from impslam.calibration.recording import CalibrationRows
+from impslam.columns import Columns
+from impslam.types import Array, Ints
+
+PERIOD = 0.1
+"""s between scans: that of most lidars. Checks of a log without times depend little on it."""
+
+
+def in_file_order(recording: CalibrationRows) -> CalibrationRows:
+    """Return a recording whose odometry and scans have stamps by their order."""
+    scans, count = list[Columns](), 0
+    for columns in recording.scans:
+        scans.append(_stamped(columns, PERIOD * np.arange(float(count), count + len(columns))))
+        count += len(columns)
+    ticks = _orders(recording.scans)
+    times = _between(_orders(recording.odometry), ticks)
+    cuts = np.cumsum([len(columns) for columns in recording.odometry])[:-1]
+    odometry = (
+        [
+            _stamped(columns, part)
+            for columns, part in zip(recording.odometry, np.split(times, cuts), strict=True)
+        ]
+        if recording.odometry
+        else []
+    )
+    return replace(recording, odometry=tuple(odometry), scans=tuple(scans))
+
+
+def _between(orders: Ints, ticks: Ints) -> Array:
+    """Return times (n,) s of rows at these positions (n,) in the log, with scans at others (m,)."""
+    following = np.searchsorted(ticks, orders)
+    counts = np.bincount(following, minlength=len(ticks) + 1)
+    rank = np.arange(1, len(orders) + 1) - (np.cumsum(counts) - counts)[following]
+    return np.asarray(PERIOD * (following - 1 + rank / counts[following]))
+
+
+def _orders(pieces: tuple[Columns, ...]) -> Ints:
+    return np.concatenate([np.empty(0, np.int64), *(columns.order for columns in pieces)])
+
+
+def _stamped(columns: Columns, times: Array) -> Columns:
+    return replace(columns, values={**columns.values, "stamp": times})

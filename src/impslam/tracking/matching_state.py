@@ -1,0 +1,101 @@
+"""Settings, input and state of scan matching; kernels change the state in place."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from impslam.surfaces.surface_map import Alignment, FitSums
+from impslam.tracking.learned_odometry import LearnedOdometry
+from impslam.tracking.match_faults import MatchFaults, MatchQuality
+from impslam.tracking.reference_scan import Geometry
+from impslam.tracking.submaps import Submaps
+from impslam.types import Array, Mask
+
+
+class Settings(NamedTuple):
+    """Parameters of scan matching; see `ScanToMap`."""
+
+    match: Alignment
+    length: float
+    spacing: float
+    turn: float
+    thin: float
+    drift: Array
+
+
+class LidarState(NamedTuple):
+    """The last scans of one lidar.
+
+    Attributes
+    ----------
+    ranges : (n,) m, of its newest matched scan; 0 where invalid
+    pose : (3,) of base_link at that scan, in the frame of the submaps
+    added : (3,) pose of its newest scan in the submaps; NaN before the first
+    """
+
+    ranges: Array
+    pose: Array
+    added: Array
+
+
+class State(NamedTuple):
+    """State of the tracker; kernels change all of it in place.
+
+    Attributes
+    ----------
+    submaps, odometry : the last metres, and the learned bias and noise of odometry
+    pose, matched : (3,) in the frame of the submaps: now, and at the newest match
+    motion, covariance : (3,), (3, 3) by odometry since the newest match
+    travelled : (3,) m, rad and s of that motion
+    velocity : (3,) motion between the last two matches
+    prior : (2,) variances of the predicted pose: m^2 along each axis, rad^2
+    unlocated : (1,) s since a scan last determined the velocity of a robot without odometry
+    averages : (4,) running means of the inlier share, of the squared distance, m^2, of the time
+        between scans, s, and of that between matches, s
+    evidence : of the newest match
+    faults : whether the newest scans fit the submaps
+    lidar : the last scans of the lidar whose sweeps are followed
+    """
+
+    submaps: Submaps
+    odometry: LearnedOdometry
+    pose: Array
+    matched: Array
+    motion: Array
+    covariance: Array
+    travelled: Array
+    velocity: Array
+    prior: Array
+    unlocated: Array
+    averages: Array
+    evidence: FitSums
+    faults: MatchFaults
+    lidar: LidarState
+
+
+class BeamColumns(NamedTuple):
+    """The columns of `Scans` that matching uses, and the directions of the beams."""
+
+    points: Array
+    valid: Mask
+    ranges: Array
+    origins: Array
+    geometry: Geometry
+
+
+class Match(NamedTuple):
+    """The pose that fits a sweep best.
+
+    Attributes
+    ----------
+    guess : (3,) the predicted pose
+    fit : how the sweep fits the submaps
+    usual : mean inlier share so far
+    H, W : (3, 3), (3,) information of the scan, and of the prior with its robust weight
+    """
+
+    guess: Array
+    fit: MatchQuality
+    usual: float
+    H: Array
+    W: Array

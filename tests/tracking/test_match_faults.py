@@ -48,6 +48,10 @@ def test_one_poor_fit_is_unexplained_and_three_are_another_place():
     ]
 
 
+def test_another_place_is_reported_if_stamps_stand_still():
+    assert judged([0.1] * 25, period=0.0).index(ELSEWHERE) == 19
+
+
 @pytest.mark.parametrize("period", [0.02, 0.1, 0.2, 0.5])
 def test_another_place_is_reported_within_a_second(period):
     reasons = judged([0.1] * 60, period)

@@ -40,9 +40,9 @@ RECOVERY_FIT = 0.7, 0.9
 elsewhere, since places look alike."""
 NEAR_ODOMETRY = 0.15, 0.1
 """m, rad: a match is at the pose of odometry within this scatter of a few matches."""
-MIN_POOR_SCANS = 3, 0.4
-"""Scans and s of poor fit that mean another place: scans that people occlude one after another fit in
-between."""
+MIN_POOR_SCANS, MAX_POOR_SCANS = (3, 0.4), 20
+"""Scans and s of poor fit that mean another place, since scans that people occlude one after another fit in
+between; and scans that do so in any case, because the stamps of some logs stand still."""
 MEMORY = 0.02, 0.05
 """Weights of the newest scan in the mean of many scans and in the variance: 50 scans, the kind of place;
 20 scans, one view."""
@@ -144,7 +144,8 @@ def add_misfit(faults: MatchFaults, duration: float) -> int:
     """Update with a scan that does not fit, `duration` s after the last; return the reason."""
     faults.poor[1] += duration if faults.poor[0] > 0.0 else 0.0
     faults.poor[0] += 1.0
-    if faults.poor[0] < MIN_POOR_SCANS[0] or faults.poor[1] < MIN_POOR_SCANS[1]:
+    few = faults.poor[0] < MIN_POOR_SCANS[0] or faults.poor[1] < MIN_POOR_SCANS[1]
+    if few and faults.poor[0] < MAX_POOR_SCANS:
         return UNEXPLAINED
     faults.poor[:] = 0.0
     return ELSEWHERE

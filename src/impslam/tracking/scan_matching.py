@@ -327,14 +327,8 @@ def _find_pose(features: Features, state: State, settings: Settings, H: Array, W
     slack2 = max(SLIP_SIGMAS**2, min(MIN_SLIP[0] ** 2 / position, MIN_SLIP[1] ** 2 / heading))
     weight = settings.match.information * min(1.0, max(usual, 0.05) / USUAL_SHARE) ** 4
     weight *= min(1.0, USUAL_RMS**2 / state.averages[1])
-    match = Alignment(
-        settings.match.iterations,
-        settings.match.wide,
-        settings.match.narrow,
-        weight,
-        settings.match.step,
-        slack2,
-    )
+    how = settings.match
+    match = Alignment(how.iterations, how.wide, how.narrow, weight, how.step, slack2)
     extrapolated = state.matched.copy()
     advance_pose(extrapolated, state.velocity)
     predicted = Prediction(state.pose.copy(), prior, state.matched, extrapolated, usual)

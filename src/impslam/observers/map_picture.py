@@ -29,8 +29,8 @@ that this needs: beams through windows and glass would make the map small."""
 DASH, GAP = 11.0, 7.0
 """Length of the true path's dashes and gaps, pixels."""
 MAX_STRETCH = 2.0
-"""Factor by which ellipses and odometry may enlarge the picture beyond map, path and truth; beyond that,
-the map would be too small."""
+"""Factor by which the picture, with ellipses and odometry, may exceed map, path and truth; beyond that, the
+map would be too small."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,7 +65,8 @@ def bounds(scene: PictureContent) -> tuple[float, float, float, float]:
     points = [mark for mark in scene.landmarks if mark.end_points is None]
     at = [mark.position[None] for mark in points]
     box = _box(scene.path, scene.truth, *ends, *at, _seen(scene.image))
-    max_side = MAX_STRETCH * np.ptp(box, axis=0).max()
+    left, right, bottom, top = scene.image.extent
+    max_side = MAX_STRETCH * max(np.ptp(box, axis=0).max(), right - left, top - bottom)
     for more in ([ellipse(mark) for mark in points], [scene.odometry]):
         wider = _box(box, *more)
         if np.ptp(wider, axis=0).max() <= max_side:

@@ -75,6 +75,14 @@ def test_the_report_lists_landmarks_and_dropped_data(tmp_path):
     assert "Errors against the truth" not in text
 
 
+def test_an_unknown_duration_of_the_log_is_no_number(tmp_path):
+    text = write(tmp_path, outcome=runs.make_outcome(log_seconds=math.nan))
+    tiles = text[text.index("Duration") : text.index("<section")]
+    assert "unknown" in tiles
+    assert re.search(r"\d ms", tiles)
+    assert "nan" not in tiles
+
+
 def test_text_from_a_log_is_escaped(tmp_path):
     assert "all &lt;NaN&gt;; check" in write(tmp_path)
 

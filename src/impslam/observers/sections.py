@@ -36,6 +36,9 @@ def heading(outcome: Outcome, history: History) -> str:
     speed = real_time_factor(outcome)
     per_scan = 1e3 * working_seconds(outcome) / scans if scans else math.nan
     once = f"; {compiled(outcome)}, once, not counted" if compiled(outcome) else ""
+    rate = (f"{speed:,.0f}×", f"real time, {per_scan:.2f} ms per scan{once}")
+    if not math.isfinite(speed):  # the duration of the log is unknown
+        rate = (f"{per_scan:.2f} ms", f"per scan{once}")
     lost = sum(item.count for item in outcome.dropped.values())
     seconds = outcome.log_seconds
     facts = {
@@ -44,7 +47,7 @@ def heading(outcome: Outcome, history: History) -> str:
         "Path": (f"{length(history.known, history.path):.1f} m", "estimated"),
         "Landmarks": (str(len(landmarks)), found),
         **_loops(outcome),
-        "Speed": (f"{speed:,.0f}×", f"real time, {per_scan:.2f} ms per scan{once}"),
+        "Speed": rate,
     }
     alone = " by the lidar alone, without odometry" * outcome.lidar_alone
     title = f"<h1>{escape(outcome.log.name)}</h1><p>Mapped by impslam{alone}</p>"

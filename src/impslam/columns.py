@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cache
 from typing import Any, NamedTuple, TypeAlias
 
@@ -55,6 +55,10 @@ class Columns:
     def stamps(self) -> Array:
         """Stamps (m,) in s, as in the log."""
         return self.values["stamp"]
+
+    def with_stamps(self, stamps: Array) -> Columns:
+        """Return the rows with other stamps (m,), s."""
+        return replace(self, values={**self.values, "stamp": stamps})
 
     def take(self, rows: slice | Ints | Mask) -> Columns:
         """Return some of the rows."""

@@ -14,7 +14,6 @@ from dataclasses import replace
 import numpy as np
 
 from impslam.calibration.recording import CalibrationRows
-from impslam.columns import Columns
 from impslam.types import Array, Mask
 
 MAX_DISORDER = 0.02
@@ -57,7 +56,7 @@ def reorder_stamps(recording: CalibrationRows) -> tuple[CalibrationRows, float]:
     times = np.empty(len(order))
     times[place] = times_by_order(in_file, ticks, float(back.max()))
     parts = np.split(times, np.cumsum([len(columns) for columns in every])[:-1])
-    timed = [_at(columns, part) for columns, part in zip(every, parts, strict=True)]
+    timed = [columns.with_stamps(part) for columns, part in zip(every, parts, strict=True)]
     count = len(recording.odometry)
     return replace(recording, odometry=tuple(timed[:count]), scans=tuple(timed[count:])), size
 
@@ -87,7 +86,3 @@ def _means(stamps: Array, window: float) -> Array:
     side = np.minimum(np.minimum(k, n - 1 - k), half)
     total = np.concatenate(([0.0], np.cumsum(stamps - stamps[0])))
     return np.asarray(stamps[0] + (total[k + side + 1] - total[k - side]) / (2 * side + 1))
-
-
-def _at(columns: Columns, times: Array) -> Columns:
-    return replace(columns, values={**columns.values, "stamp": times})

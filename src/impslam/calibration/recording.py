@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -100,8 +100,7 @@ def _record(streams: Streams, batches: Iterable[Batch]) -> CalibrationRows:
         found, _ = clocks.place(rows, streams.odometry.stream)
         for columns, placed in zip(rows, found, strict=True):
             by_order[columns.stream] += int(placed.by_order.sum())
-            values = {**columns.values, "stamp": placed.times}
-            kept.setdefault(columns.stream, []).append(replace(columns, values=values))
+            kept.setdefault(columns.stream, []).append(columns.with_stamps(placed.times))
     (lidar,) = streams.sensors.values()
     every = [columns for pieces in kept.values() for columns in pieces]
     names = {streams.odometry.stream, lidar.stream} & kept.keys()

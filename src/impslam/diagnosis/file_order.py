@@ -22,20 +22,16 @@ def in_file_order(recording: CalibrationRows) -> CalibrationRows:
     """Return a recording whose odometry and scans have stamps by their order."""
     scans, count = list[Columns](), 0
     for columns in recording.scans:
-        scans.append(_stamped(columns, PERIOD * np.arange(float(count), count + len(columns))))
+        scans.append(columns.with_stamps(PERIOD * np.arange(float(count), count + len(columns))))
         count += len(columns)
     ticks = _orders(recording.scans)
     times = _between(_orders(recording.odometry), ticks)
     cuts = np.cumsum([len(columns) for columns in recording.odometry])[:-1]
-    odometry = (
-        [
-            _stamped(columns, part)
-            for columns, part in zip(recording.odometry, np.split(times, cuts), strict=True)
-        ]
-        if recording.odometry
-        else []
-    )
-    return replace(recording, odometry=tuple(odometry), scans=tuple(scans))
+    parts = zip(
+        recording.odometry, np.split(times, cuts), strict=False
+    )  # one part if there is none
+    odometry = tuple(columns.with_stamps(part) for columns, part in parts)
+    return replace(recording, odometry=odometry, scans=tuple(scans))
 
 
 def _between(orders: Ints, ticks: Ints) -> Array:
@@ -48,7 +44,3 @@ def _between(orders: Ints, ticks: Ints) -> Array:
 
 def _orders(pieces: tuple[Columns, ...]) -> Ints:
     return np.concatenate([np.empty(0, np.int64), *(columns.order for columns in pieces)])
-
-
-def _stamped(columns: Columns, times: Array) -> Columns:
-    return replace(columns, values={**columns.values, "stamp": times})

@@ -36,7 +36,7 @@ class SessionFinder:
     """Locates pending sessions; `hint` (3,) or (2,) is the approximate start of the first one."""
 
     def __init__(self, hint: Array | None = None) -> None:
-        self._hint, self._hinted = hint, -1
+        self._hint = hint
         self._session = -1
         self._map: Relocaliser | None = None
 
@@ -49,6 +49,8 @@ class SessionFinder:
 
         session = int(keys.sessions[-1])
         if session != self._session:
+            if self._session >= 0:  # not the first one
+                self._hint = None
             self._map, self._session = None, session
         rows = np.flatnonzero(keys.distance >= keys.distance[-1] - QUERY_DISTANCE)
         views = [keys.views[row] for row in rows.tolist()]
@@ -70,8 +72,7 @@ class SessionFinder:
         """Return the area of the newest keyframe according to the hint, if there is one."""
         from impslam.recognition.relocalisation import Near  # noqa: PLC0415
 
-        self._hinted = self._session if self._hinted < 0 else self._hinted
-        if self._hint is None or self._session != self._hinted:
+        if self._hint is None:
             return None
         first = int(np.searchsorted(keys.sessions, keys.sessions[-1]))
         motion = between(keys.chain[first], keys.chain[-1])

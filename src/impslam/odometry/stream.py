@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -84,7 +83,7 @@ class OdometryStream:
     def _retime(self, motions: Motions, readings: Columns, times: Array, by_order: Mask) -> None:
         """Replace motions (m,) from or to readings whose stamps are not used, in place."""
         if by_order.any():
-            timed = self._odometry.motions(_stamped(readings, times))
+            timed = self._odometry.motions(readings.with_stamps(times))
             for column, other in zip(motions[1:], timed[1:], strict=True):
                 column[by_order] = other[by_order]
 
@@ -94,7 +93,7 @@ class OdometryStream:
         Only those that are too far for `MAX_GAP` remain unknown.
         """
         stamps = MAX_GAP * np.arange(float(len(readings)))
-        slow = self._odometry.motions(_stamped(readings, stamps))
+        slow = self._odometry.motions(readings.with_stamps(stamps))
         motions.d_pose[fast], motions.covariance[fast] = slow.d_pose[fast], slow.covariance[fast]
 
     def _has_previous(self, usable: Mask, kept: Mask) -> Mask:
@@ -125,10 +124,6 @@ class OdometryStream:
 def _touched(rows: Mask) -> Mask:
     """Return (m,) which motions between m + 1 rows begin or end at one of these."""
     return np.asarray(rows[1:] | rows[:-1])
-
-
-def _stamped(readings: Columns, stamps: Array) -> Columns:
-    return replace(readings, values={**readings.values, "stamp": stamps})
 
 
 def unknown_motions(stamps: Array) -> Motions:

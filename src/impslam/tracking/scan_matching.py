@@ -30,6 +30,7 @@ from impslam.tracking.hypotheses import (
     near_constant_velocity,
     search,
 )
+from impslam.tracking.intervals import is_gap, updated_interval
 from impslam.tracking.learned_odometry import correct, learn, variances
 from impslam.tracking.match_faults import (
     MIN_FIT,
@@ -72,11 +73,9 @@ USUAL_SHARE = 0.8
 """Inlier share of scans indoors; below, information falls with its fourth power: people, bushes, a ramp."""
 USUAL_RMS = 0.02
 """m, root mean square distance from the surfaces indoors; above, information falls with its square."""
-MEMORY = 0.3, 0.2, 0.01, 0.1
+MEMORY = 0.3, 0.2, 0.01
 """Weights of the newest scan in the running means of inlier share, of squared distance, and of the
-times between scans and between matches."""
-GAP_FACTOR = 3.0
-"""Times the mean time between matches that a gap in the data exceeds: some logs keep a scan every few s."""
+time between scans."""
 SPEED_SIGMA, RATE_SIGMA = 0.3, 0.6
 """m/s, rad/s: change of velocity from scan to scan for a robot without odometry: half of walking pace; 0.2
 to 0.5 m/s work equally well."""
@@ -115,8 +114,7 @@ def follow(
                 if out.reasons[k] != UNEXPLAINED:
                     _add_to_submaps(features[:count], k, beams, state, settings)
             out.reference[k] = True
-            weight = MEMORY[3] if state.averages[3] > 0.0 else 1.0
-            state.averages[3] += weight * (state.travelled[2] - state.averages[3])
+            state.averages[3] = updated_interval(state.averages[3], state.travelled[2])
             state.matched[:] = state.pose
             state.motion[:], state.covariance[:], state.travelled[:] = 0.0, 0.0, 0.0
         else:
@@ -279,8 +277,8 @@ def _contradicts(beams: BeamColumns, k: int, state: State) -> bool:
 
     After a gap in the data, and after a scan that did, every such sweep does: the robot may be anywhere.
     """
-    is_gap = state.travelled[2] > max(WINDOW, GAP_FACTOR * state.averages[3])
-    if is_gap or state.faults.poor[0] > 0.0:
+    in_doubt = state.faults.poor[0] > 0.0
+    if in_doubt or is_gap(state.travelled[2], state.averages[3], WINDOW):
         return True
     share = contradicted_share(
         beams.ranges[k], beams.valid[k], state.pose, older_map(state.submaps), state.lidar.ranges,

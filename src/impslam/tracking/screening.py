@@ -14,6 +14,7 @@ from impslam.health import COVERED, REPEATED, SKIPPED, Reasons
 from impslam.noise import MAX_GAP
 from impslam.sources.base import Problems
 from impslam.tracking.covered import Cover, hidden_beams, initial_cover
+from impslam.tracking.intervals import is_gap, updated_interval
 from impslam.tracking.scan_stream import StreamState, check_stream, initial_stream_state
 from impslam.types import Array, Mask
 
@@ -21,10 +22,6 @@ MAX_COVERED = 0.2
 """Share of the valid beams; if more are covered, this is a reason for degraded health."""
 MIN_MOTION = (0.2, 0.2)
 """m, rad: motion during a gap that matters."""
-GAP_FACTOR = 3.0
-"""Times the usual interval between sweeps that a gap exceeds: some logs keep a scan every few seconds."""
-MEMORY = 0.1
-"""Weight of the newest interval in the usual one: ten sweeps."""
 _REPEATED = (
     "the scan at {:.3f} s equals the one before bit for bit, although odometry has moved; it is left out: "
     "the lidar, its driver or the network hangs"
@@ -48,9 +45,8 @@ class Screening:
 
     def __init__(self) -> None:
         self._lidars: dict[str, tuple[StreamState, Cover]] = {}
-        self._intervals: dict[
-            str, Array
-        ] = {}  # usual interval between the sweeps of a sensor, (1,) s
+        # usual interval between the sweeps of each sensor, (1,) s
+        self._intervals: dict[str, Array] = {}
 
     def screen(self, motions: Motions, sweeps: Sweeps, problems: Problems) -> Screened:
         """Screen the next sweeps of a sensor; `motions` are by odometry, before each."""
@@ -102,6 +98,6 @@ def _skipped(motions: Motions, usual: Array) -> Mask:
         x, y, turn = motions.d_pose[k]
         moved = math.hypot(x, y) > MIN_MOTION[0] or abs(turn) > MIN_MOTION[1]
         seconds = motions.duration[k]
-        out[k] = moved and seconds > max(MAX_GAP, GAP_FACTOR * usual[0])
-        usual[0] += (MEMORY if usual[0] > 0.0 else 1.0) * (seconds - usual[0])
+        out[k] = moved and is_gap(seconds, usual[0], MAX_GAP)
+        usual[0] = updated_interval(usual[0], seconds)
     return out

@@ -186,3 +186,18 @@ def test_for_a_known_pose_pairs_are_tested_one_by_one_by_the_same_gates():
     assert not alone.is_joint
     assert (alone.gate, alone.new_gate, alone.odds) == (0.99, 0.9999, 5.0)
     assert alone.for_known_pose() is alone
+
+
+@pytest.mark.parametrize(
+    ("off", "matched"), [(0.3, {0: 0, 1: 1, 2: 2, 3: 3}), (1.0, {0: 0, 1: 1, 2: 2})]
+)
+def test_a_poor_pair_among_good_ones_is_left_out(off, matched):
+    """A post seen badly, 1 and 3.3 standard deviations from its place: both pass the joint gate."""
+    posts = [(2.0, 0.0), (1.0, 2.0), (1.0, -2.0), (3.0, 1.0)]
+    good = [point(ORIGIN, p) for p in posts]
+    belief = mapped([*good[:3], good[3].with_noise(0.09 * np.eye(2))])
+    seen = (*good[:3], point(ORIGIN, (3.0 + off, 1.0)))
+    choice = belief.associate(seen, Jcbb())
+    assert pairs(choice) == matched
+    assert choice.new == ()  # too near the post to be new
+    assert choice.ambiguous == tuple({0, 1, 2, 3} - set(matched))

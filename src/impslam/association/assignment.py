@@ -23,11 +23,20 @@ linear_sum_assignment = load("scipy.optimize._lsap", "scipy.optimize").linear_su
 _FORBIDDEN = 1e9
 MIN_ODDS = 10.0
 """A wrong match costs as much as this many unused observations."""
+DENSITY = 0.3
+"""Objects of a kind in a unit of measurement space: of walls in 1 m and 1 rad in maps of offices."""
+_UNMAPPED_SHARE = 0.1
+"""Share of observed objects that are not in the map yet."""
 
 
 def odds_cost(odds: float) -> float:
     """Return odds as a cost."""
     return 2.0 * math.log(odds)
+
+
+def cost_of_new(density: float, dim: int) -> float:
+    """Return what to add to d^2 + log det S of a pair: the cost of it against an object not in the map."""
+    return dim * math.log(2.0 * math.pi) + 2.0 * math.log(_UNMAPPED_SHARE * density)
 
 
 def unambiguous_pairs(

@@ -5,7 +5,8 @@ moves all innovations of a scan together, as the covariance between them describ
 the largest set of pairings that passes the gate as a whole, over all kinds of landmark at once.
 
 A pair of the set is left out if another set of as many pairs without it is nearly as likely. This does not
-apply to pieces of walls; see `unambiguous_pairs`.
+apply to pieces of walls; see `unambiguous_pairs`. A pair is also left out if, given the other pairs,
+another object is nearly as likely: the joint gate passes a poor pair among several good ones.
 
 Unlike the paper, only complete sets are tested. The paper drops a branch as soon as
 its first pairings fail their own gate, which makes the result depend on the order of observations.
@@ -13,14 +14,17 @@ its first pairings fail their own gate, which makes the result depend on the ord
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import ClassVar, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from impslam.association.assignment import (
+    DENSITY,
     MIN_ODDS,
     ambiguous,
+    cost_of_new,
     make_assignment,
     odds_cost,
     unclaimed_pairs,
@@ -64,6 +68,7 @@ class _System:
 
     Attributes
     ----------
+    dims : (pairs,), dim_z of each pair
     contested : (pairs,), whether another pair has the same observation or landmark
     """
 
@@ -77,11 +82,11 @@ class _System:
         budget: int,
     ) -> None:
         self._S, self._innovation, self._budget = S, innovation, budget
-        self._dims = np.array([len(match.innovation) for match in matches])
+        self.dims = np.array([len(match.innovation) for match in matches])
         self._landmarks = _numbered([match.landmark for match in matches])
         self._observation_of = np.repeat(np.arange(len(options)), [len(some) for some in options])
         self._noise = np.array([some[0].noise for some in options])
-        self._limits = quantiles(gate, int(self._dims.sum()))
+        self._limits = quantiles(gate, int(self.dims.sum()))
         conflicts = self._observation_of[:, None] == self._observation_of
         conflicts |= self._landmarks[:, None] == self._landmarks
         self.contested = conflicts.sum(axis=1) > 1
@@ -91,9 +96,9 @@ class _System:
         pairs = np.flatnonzero(among)
         if not len(pairs):
             return [], 0.0
-        rows = np.flatnonzero(np.repeat(among, self._dims))
+        rows = np.flatnonzero(np.repeat(among, self.dims))
         group_ids, sizes = np.unique(self._observation_of[pairs], return_counts=True)
-        groups, dims = _starts(sizes), self._dims[pairs]
+        groups, dims = _starts(sizes), self.dims[pairs]
         rest = _remaining(dims[groups[:-1]])
         S, nu = self._S[np.ix_(rows, rows)], self._innovation[rows]
         starts = _starts(dims)
@@ -112,6 +117,23 @@ class _System:
         block, residual = S[np.ix_(index, index)], nu[index]
         score = float(residual @ np.linalg.solve(block, residual) + np.linalg.slogdet(block)[1])
         return pairs[chosen].tolist(), score
+
+    def costs_given_others(self, chosen: list[int]) -> Array:
+        """Return d^2 + log det S of each of the chosen pairs, given all others.
+
+        With P = S^-1 of the chosen pairs, the innovation of a pair has the conditional covariance
+        P_pp^-1 and the conditional mean error P_pp^-1 (P nu)_p.
+        """
+        starts = _starts(self.dims)
+        blocks = [np.arange(starts[p], starts[p + 1]) for p in chosen]
+        rows = np.concatenate(blocks)
+        P = np.linalg.inv(self._S[np.ix_(rows, rows)])
+        pull, ends = P @ self._innovation[rows], _starts(self.dims[chosen])
+        costs = np.empty(len(chosen))
+        for k, (first, end) in enumerate(pairwise(ends.tolist())):
+            block, part = P[first:end, first:end], pull[first:end]
+            costs[k] = part @ np.linalg.solve(block, part) - np.linalg.slogdet(block)[1]
+        return costs
 
 
 @register("jcbb")
@@ -142,11 +164,17 @@ class Jcbb(Association):
         ge=1,
     )
 
+    density: float = parameter(
+        DENSITY,
+        "1/z",
+        "other landmarks of the kind in a unit of measurement space, as for `mahalanobis`",
+        gt=0,
+    )
     odds: float = parameter(
         MIN_ODDS,
         "1",
-        "a pair must make its set this many times as likely as another of as many pairs: a wrong match "
-        "costs as much as this many unused observations",
+        "a pair must make its set this many times as likely as another of as many pairs, or as another "
+        "object: a wrong match costs as much as this many unused observations",
         ge=1,
     )
 
@@ -156,7 +184,9 @@ class Jcbb(Association):
 
     def for_known_pose(self) -> Mahalanobis:
         """Return an association with the same gates and odds; see `Association.for_known_pose`."""
-        return Mahalanobis(gate=self.gate, new_gate=self.new_gate, odds=self.odds)
+        return Mahalanobis(
+            gate=self.gate, new_gate=self.new_gate, density=self.density, odds=self.odds
+        )
 
     def assign(
         self, observations: tuple[Observation, ...], hypotheses: list[Hypotheses], joint: Joint
@@ -220,7 +250,21 @@ class Jcbb(Association):
             others, other_score = system.search(np.arange(len(pairs)) != p)
             return len(others) == len(best) and other_score - score < odds_cost(self.odds)
 
-        return [pairs[p] for p in best if not is_ambiguous(p)]
+        unambiguous = [p for p in best if not is_ambiguous(p)]
+        is_unique = [hypotheses[pair.group].unique for pair in pairs]
+        return [pairs[p] for p in self._likely(system, unambiguous, is_unique)]
+
+    def _likely(self, system: _System, chosen: list[int], is_unique: list[bool]) -> list[int]:
+        """Leave out pairs whose observation may be another object, one by one, the unlikeliest first."""
+        while chosen:
+            costs = system.costs_given_others(chosen)
+            costs += [cost_of_new(self.density, int(system.dims[p])) for p in chosen]
+            costs[[is_unique[p] for p in chosen]] = -np.inf
+            worst = int(np.argmax(costs))
+            if costs[worst] <= -odds_cost(self.odds):
+                break
+            chosen = chosen[:worst] + chosen[worst + 1 :]
+        return chosen
 
     def _near(self, group: Hypotheses, chosen: list[int]) -> list[int]:
         limit = quantile(self.new_gate, group.innovation.shape[-1])

@@ -7,8 +7,10 @@ import math
 import numpy as np
 
 from impslam.association.assignment import (
+    DENSITY,
     MIN_ODDS,
     ambiguous,
+    cost_of_new,
     make_assignment,
     odds_cost,
     rivals,
@@ -21,7 +23,6 @@ from impslam.geometry.chi_square import quantile
 from impslam.types import Array, Mask, Observation
 
 _UNIQUE_BONUS = 1e6  # a unique landmark always beats a new one
-_UNMAPPED_SHARE = 0.1  # share of observed things that are not in the map yet
 
 
 @register("mahalanobis")
@@ -49,7 +50,7 @@ class Mahalanobis(Association):
         lt=1,
     )
     density: float = parameter(
-        0.3,
+        DENSITY,
         "1/z",
         "other landmarks of the kind in a unit of measurement space: walls in 1 m and 1 rad (in maps of "
         "offices 0.25 to 0.5), points in 1 m^2 (there fewer; outdoors far fewer)",
@@ -90,9 +91,8 @@ class Mahalanobis(Association):
     def _choose(self, group: Hypotheses, inside: Mask) -> tuple[list[int], list[int]]:
         """Return the matching pairs, and the pairs that keep their observation from being new."""
         dim = group.innovation.shape[1]
-        # -2 log of the odds of this landmark against another one that is not in the map.
-        new = dim * math.log(2.0 * math.pi) + 2.0 * math.log(_UNMAPPED_SHARE * self.density)
-        distance2, cost = group.distance2, group.distance2 + group.log_det + new
+        distance2 = group.distance2
+        cost = distance2 + group.log_det + cost_of_new(self.density, dim)
         if group.unique:
             cost = distance2 - _UNIQUE_BONUS
         likely = group.possible & (cost < 0.0)

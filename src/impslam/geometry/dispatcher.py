@@ -11,6 +11,7 @@ from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import CPUDispatcher
 from numba.core.typing.templates import make_concrete_template
 
+from impslam.geometry.borrowing import KernelCompiler
 from impslam.geometry.code_library import code_libraries
 
 _ENTRY = {"nopython": True, "nogil": True, "boundscheck": None, "no_cfunc_wrapper": True}
@@ -27,7 +28,7 @@ class KernelDispatcher(CPUDispatcher):
     targetctx: Any
 
     def __init__(self, function: Callable[..., object], *_: object) -> None:  # of a pickle
-        super().__init__(function, targetoptions=_ENTRY)
+        super().__init__(function, targetoptions=_ENTRY, pipeline_class=KernelCompiler)
         self._part_compiler = copy.copy(self._compiler)
         self._part_compiler.targetoptions = _PART
         self._parts: dict[tuple[Any, ...], Any] = {}

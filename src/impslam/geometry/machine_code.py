@@ -21,7 +21,7 @@ from numba.core import environment
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.core.runtime.nrt import rtsys
 
-from impslam.geometry import code_library
+from impslam.geometry import borrowing, code_library
 from impslam.geometry.scipy_extension import load
 
 log = logging.getLogger(__name__)
@@ -108,9 +108,11 @@ def source_stamp(function: FunctionType) -> str:
     """Return a hash of all source that is compiled into a function.
 
     It covers the function's file, the files of the kernels that it calls, constants from other modules, and
-    the module that generates and reads the machine code.
+    the modules that determine the machine code.
     """
-    digest, seen = hashlib.sha256(_file_hash(code_library.__file__)), {function}
+    digest, seen = hashlib.sha256(), {function}
+    for module in (borrowing, code_library):
+        digest.update(_file_hash(module.__file__))
     waiting = [function]
     for caller in waiting:
         digest.update(_file_hash(caller.__code__.co_filename))

@@ -114,10 +114,10 @@ def clear(surface_map: SurfaceMap, corner: Array) -> None:
     for k in range(surface_map.size[0] if one_by_one else 0):
         column = int((surface_map.surfels[k, _X0] - surface_map.corner[0]) / CELL)
         row = int((surface_map.surfels[k, _Y0] - surface_map.corner[1]) / CELL)
+        left, right = max(0, column - RADIUS), min(width, column + RADIUS + 1)
         for r in range(max(0, row - RADIUS), min(height, row + RADIUS + 1)):
-            for c in range(max(0, column - RADIUS), min(width, column + RADIUS + 1)):
-                surface_map.nearest[r, c] = 0
-                surface_map.closeness[r, c] = 0
+            surface_map.nearest[r, left:right] = 0
+            surface_map.closeness[r, left:right] = 0
     surface_map.size[0] = 0
     surface_map.corner[:] = corner
 
@@ -284,8 +284,10 @@ def align(
         et = wrap_in_kernel(pose[2] - start[2])
         chi2 = prior[0] * ex * ex + prior[1] * ey * ey + prior[2] * et * et
         w = 1.0 / (1.0 + chi2 / settings.slack2)
-        A[:], g[:] = settings.information * out.H, settings.information * out.g
         for a in range(3):
+            g[a] = settings.information * out.g[a]
+            for b in range(3):
+                A[a, b] = settings.information * out.H[a, b]
             A[a, a] += w * prior[a]
         g[0] += w * prior[0] * ex
         g[1] += w * prior[1] * ey

@@ -28,18 +28,26 @@ MAX_BODY_RANGE = 1.0
 BODY_SPREAD = (0.02, 0.01)
 """m, and share of the range: deviation of a range to the body from its median."""
 MIN_BODY_SHARE = 0.8
-"""Share of scans in which a beam that hits the body has its median range."""
+"""Share of scans in which a beam that hits the body has its median range; each heading counts equally."""
+HEADING_WIDTH, MIN_HEADINGS = 0.4, 4
+"""rad, and number of headings of this width in which scans are needed. A wall beside a robot that drives
+straight also keeps its range, but only at one heading."""
 MIN_TRAVEL = (2.0, 1.5)
 """m, rad of laser motion needed to attribute a constant range, or none, to the robot itself: a lidar that
 stands sees the same things all the time, and open space in the same directions."""
 
 
 class BeamSamples(NamedTuple):
-    """Samples of scans: `ranges` (m, n) as received, `valid` (m, n) by the config, `angles` (n,) rad."""
+    """Samples of scans.
+
+    `ranges` (m, n) as received, `valid` (m, n) by the config, `angles` (n,) rad, `headings` (m,) rad along
+    the path of the lidar.
+    """
 
     ranges: Array
     valid: Mask
     angles: Array
+    headings: Array
 
 
 def check_beams(e: Evidence) -> list[Finding]:
@@ -67,13 +75,15 @@ def _travels(motion: SweepMotions) -> bool:
 
 def _sample(e: Evidence) -> BeamSamples | None:
     """Return scans evenly spread over the longest piece of one layout."""
-    piece = max(e.recording.scans, key=len, default=None)
-    if piece is None or len(piece) < 10:
+    lengths = [len(piece) for piece in e.recording.scans]
+    if max(lengths, default=0) < 10:
         return None
+    longest = int(np.argmax(lengths))
+    piece, start = e.recording.scans[longest], sum(lengths[:longest])
     rows = np.unique(np.linspace(0, len(piece) - 1, min(MAX_SCANS, len(piece))).astype(np.int64))
-    piece = piece.take(rows)
+    piece, headings = piece.take(rows), e.path.poses[start + rows, 2]
     scans = unmounted(e.lidar).sweeps(piece, np.zeros((len(rows), 3)))
-    return BeamSamples(piece["ranges"], scans.valid, piece["angles"])
+    return BeamSamples(piece["ranges"], scans.valid, piece["angles"], headings)
 
 
 def _no_return(e: Evidence, sample: BeamSamples) -> list[Finding]:
@@ -104,15 +114,28 @@ def _limit(e: Evidence, values: Array, value: float) -> str:
 
 
 def _body(e: Evidence, sample: BeamSamples) -> list[Finding]:
+    hits, farthest = body_beams(sample)
+    return [_own_body(e, sample, hits, farthest)] if len(hits) else []
+
+
+def body_beams(sample: BeamSamples) -> tuple[Ints, float]:
+    """Return the beams (k,) that hit the robot itself, and their largest range in m (0 without any)."""
+    weights = _heading_weights(sample.headings)
     near = np.flatnonzero(sample.valid.mean(axis=0) >= MIN_BODY_SHARE)
     ranges = np.where(sample.valid[:, near], sample.ranges[:, near], np.nan)
     usual = np.nanmedian(ranges, axis=0) if len(near) else np.empty(0)
     steady = np.abs(ranges - usual) <= BODY_SPREAD[0] + BODY_SPREAD[1] * usual
-    body = (usual < MAX_BODY_RANGE) & (steady.mean(axis=0) >= MIN_BODY_SHARE)
-    if not body.any():
-        return []
-    hits, farthest = near[body], float(usual[body].max())
-    return [_own_body(e, sample, hits, farthest)]
+    body = (usual < MAX_BODY_RANGE) & (weights @ steady >= MIN_BODY_SHARE)
+    return near[body], float(usual[body].max(initial=0.0))
+
+
+def _heading_weights(headings: Array) -> Array:
+    """Return weights (m,) of scans with which each heading counts equally; all 0 if there are too few."""
+    bins = np.floor(np.mod(headings, 2.0 * math.pi) / HEADING_WIDTH)
+    _, which, counts = np.unique(bins, return_inverse=True, return_counts=True)
+    if len(counts) < MIN_HEADINGS:
+        return np.zeros(len(headings))
+    return np.asarray(1.0 / (len(counts) * counts[which]))
 
 
 def _dead(e: Evidence, sample: BeamSamples) -> list[Finding]:

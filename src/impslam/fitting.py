@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from impslam.config import Config, merge
@@ -65,8 +65,8 @@ def choices(config: Config, source: Source) -> str:
     ]
     read = {stream for _, stream, _ in lasers}
     parts += [
-        f"{other} ({_describe_pose(mount)}, {mount.origin}) is another lidar, added by --set "
-        f"sensors.NAME.kind=lidar2d --set sensors.NAME.stream={other}"
+        f"{other} ({_describe_pose(mount)}, {mount.origin}) "
+        + _describe_other(other, mount, lasers)
         for other, mount in sorted(source.mounts().items())
         if other not in read and mount.pose is not None
     ]
@@ -88,6 +88,17 @@ def choices(config: Config, source: Source) -> str:
     elif stream:
         parts.append(f"odometry {stream}")
     return "; ".join(parts) or "nothing in this log"
+
+
+def _describe_other(stream: str, mount: Mount, lasers: Sequence[tuple[str, str, Mount]]) -> str:
+    """Describe what a stream of scans is that is not read; scans of one frame are from one laser."""
+    same = [read for _, read, own in lasers if own.origin == mount.origin]
+    if same:
+        return f"is from the same laser as {same[0]}; --topic scan={stream} reads it instead"
+    return (
+        "is another lidar, added by --set sensors.NAME.kind=lidar2d --set "
+        f"sensors.NAME.stream={stream}"
+    )
 
 
 def _by_config(config: Config, robot: Robot) -> str:

@@ -262,3 +262,10 @@ def test_scans_without_a_frame_are_reported(entries, tmp_path):
         for entry in entries:
             if entry[1] == "/scan":
                 entry[2].header.frame_id = "laser"
+
+
+def test_a_second_topic_of_the_same_laser_is_not_another_lidar(entries, tmp_path):
+    copies = [(t, "/stable", message) for t, topic, message in entries if topic == "/scan"][1:]
+    line = read(bag(tmp_path, [*entries, *copies], links(*URDF)))[2]
+    assert "is from the same laser as /scan; --topic scan=/stable reads it instead" in line
+    assert "another lidar" not in line

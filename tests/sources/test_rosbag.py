@@ -87,6 +87,17 @@ def test_joints_by_name(tmp_path: Path) -> None:
     assert (wheels.left, wheels.right) == (0.0, 2.0)
 
 
+def test_joints_that_another_program_publishes_are_no_problem(tmp_path: Path) -> None:
+    tilt = [("/js", joints(ROS2, ["laser_tilt_joint"], [0.1 * k], 1.0 + k)) for k in range(20)]
+    wheels = [("/js", joints(ROS2, ["left", "right"], [1.0, 2.0], 1.5 + k)) for k in range(9)]
+    found, source = read(bag(tmp_path / "b", *tilt[:9], *wheels, *tilt[9:]))
+    assert len(found) == 9
+    assert not source.problems.counts
+    none, source = read(bag(tmp_path / "none", *tilt), topics={"wheels": "/js"})
+    assert not none
+    assert source.problems.counts == {"malformed wheels message": 20}
+
+
 def test_headers_without_stamp_fall_back_on_the_time_of_logging(tmp_path: Path) -> None:
     found, source = read(bag(tmp_path / "b", ("/s", scan(ROS2, 0.0)), ("/s", scan(ROS2, 0.0))))
     assert [m.stamp for m in found] == [100.0, 101.0]
@@ -112,7 +123,7 @@ def test_bad_messages_are_counted_and_dropped(tmp_path: Path) -> None:
     assert [type(m) for m in found] == [WheelAngles, LaserScan]
     assert math.isnan(found[1].range_max)
     assert source.problems.counts == {
-        "malformed wheels message": 3,
+        "malformed wheels message": 2,
         "malformed scan message": 2,
         "malformed odometry message": 3,
         "malformed image message": 1,

@@ -33,6 +33,8 @@ READERS: dict[Use, Callable[[RosMessage, float], Message]] = {
     "image": ros.read_image,
 }
 MIN_TABLE_ROWS = 4  # fewer messages are read faster one by one
+MAX_JOINT_MESSAGES = 200
+"""Messages among which all publishers of joints occur: rates of two differ by a factor of 100 at most."""
 
 
 class Record(NamedTuple):
@@ -68,6 +70,8 @@ class RowReader:
     ) -> None:
         self._path, self._bag, self._uses, self._joints = path, bag, uses, joints
         self._odometry, self._problems = odometry, problems
+        wheels = [c for c in bag.connections if uses.get(c.topic) == "wheels"]
+        self._wheel_topics = {c.topic for c in wheels if not lacks_wheels(bag, c, joints)}
         self._starts_at_zero = any(map(self._has_zero_start, bag.connections))
 
     def _has_zero_start(self, connection: Connection) -> bool:
@@ -151,7 +155,7 @@ class RowReader:
                 yield single(LocatedMessage(message, record.place, topic), record.place)
 
     def _read(self, record: Record) -> Message | None:
-        """Return a record as a message; None if it contains only transforms other than odometry."""
+        """Return a record as a message; None if it has only other transforms or joints than needed."""
         topic = record.connection.topic
         message = self._bag.decoder(record.connection)(record.data)
         if record.connection.msgtype in TF_TYPES:
@@ -160,7 +164,9 @@ class RowReader:
                 return None
         stamp = ros.seconds(self._stamp(topic, message, record.log_time))
         use = self._uses[topic]
-        return self._wheels(message, stamp) if use == "wheels" else READERS[use](message, stamp)
+        if use == "wheels":
+            return self._wheels(topic, message, stamp)
+        return READERS[use](message, stamp)
 
     def _stamp(self, topic: str, message: RosMessage, log_time: int) -> int:
         """Return the stamp of a message in ns, or its log time if it has none."""
@@ -173,10 +179,12 @@ class RowReader:
         )
         return log_time
 
-    def _wheels(self, message: RosMessage, stamp: float) -> WheelAngles:
-        """Read the wheels of a `sensor_msgs/JointState`."""
+    def _wheels(self, topic: str, message: RosMessage, stamp: float) -> WheelAngles | None:
+        """Read the wheels of a `sensor_msgs/JointState`; None if only others of the topic have wheels."""
         joints = ros.find_joints(message.name, *self._joints)
         if joints is None:
+            if topic in self._wheel_topics:
+                return None
             raise MessageError(
                 f"no left and right wheel among the joints {', '.join(message.name)}; "
                 "name them with --set source.left_joint=NAME --set source.right_joint=NAME"
@@ -184,6 +192,22 @@ class RowReader:
         left, right = (float(message.position[joint]) for joint in joints)
         check_finite("wheel position", left, right)
         return WheelAngles(stamp, left, right)
+
+
+def lacks_wheels(bag: Bag, connection: Connection, joints: tuple[str, str]) -> bool:
+    """Return whether the first messages of a connection contain joints, but no wheels.
+
+    Several programs may publish joints on one topic, each its own: wheels, and an arm.
+    """
+    is_read = False
+    with suppress(Exception):  # rosbags may raise anything on damaged data
+        for _, _, data in islice(bag.messages([connection]), MAX_JOINT_MESSAGES):
+            with suppress(Exception):
+                names = bag.decoder(connection)(data).name
+                if ros.find_joints(names, *joints) is not None:
+                    return False
+                is_read = True
+    return is_read
 
 
 def _grouped(records: Iterable[Record]) -> Iterable[list[Record]]:

@@ -18,11 +18,10 @@ from rosbags.interfaces import Connection
 from impslam.columns import ROWS
 from impslam.component import parameter, register
 from impslam.errors import SourceError
-from impslam.sources import ros_messages as ros
 from impslam.sources.base import Mount, Source, Stream
 from impslam.sources.parts import Piece
-from impslam.sources.ros_frames import Edge, Frames, first_message, links
-from impslam.sources.ros_rows import Record, RowReader
+from impslam.sources.ros_frames import Edge, Frames, links
+from impslam.sources.ros_rows import Record, RowReader, lacks_wheels
 from impslam.sources.ros_storage import Bag, one_line, storage_class
 from impslam.sources.ros_topics import (
     EVENT_TYPE,
@@ -201,14 +200,9 @@ class RosBag(Source):
         return {(topic, kind): n for (topic, kind), n in counts.items() if topic not in self._idle}
 
     def _lacks_wheels(self, bag: Bag, connection: Connection) -> bool:
-        """Return whether the first message has no wheel joints, and the user has not named its topic."""
-        if connection.topic in self.topics.values():
-            return False
-        joints = self.left_joint, self.right_joint
-        return any(
-            ros.find_joints(message.name, *joints) is None
-            for message, _ in first_message(bag, connection)
-        )
+        """Return whether a topic has no wheel joints, and the user has not named it."""
+        is_named = connection.topic in self.topics.values()
+        return not is_named and lacks_wheels(bag, connection, (self.left_joint, self.right_joint))
 
     def _default(self, use: Use) -> str:
         """Return the default topic of a use, or ""."""

@@ -1,12 +1,18 @@
 """Scans that are repeated bit for bit, and stamps that run back and forth."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
+from tests.extractors.scans import cast, room
+from tests.tracking.sweeps import motions_of, sweeps_of
 
 from impslam.health import DISORDERED, NONE, REPEATED
+from impslam.sources.base import Problems
 from impslam.tracking.scan_stream import check_stream, initial_stream_state
+from impslam.tracking.screening import Screening
+from impslam.types import Increment
 
 ANGLES = np.linspace(-1.0, 1.0, 20)
 
@@ -59,3 +65,17 @@ def test_a_stamp_that_runs_back_now_and_then_is_none():
     stamps = 0.1 * np.arange(200.0)
     stamps[np.random.default_rng(2).random(200) < 0.05] -= 0.3
     assert not check(noisy(200), stamps).any()
+
+
+@pytest.mark.parametrize("sees", [False, True])
+def test_scans_in_which_the_lidar_sees_nothing_are_not_repeated(sees):
+    empty = cast(room(-3.0, 6.0, -2.0, 2.5), angles=ANGLES).scan
+    empty = replace(empty, valid=np.full(len(ANGLES), sees))
+    increments = [
+        Increment(0.1 * k, np.array([0.03, 0.0, 0.0]), np.zeros((3, 3)), 0.1) for k in range(30)
+    ]
+    sweeps = sweeps_of([empty] * 30, [i.stamp for i in increments])
+    problems = Problems()
+    screened = Screening().screen(motions_of(increments), sweeps, problems)
+    assert (REPEATED in screened.reasons) == sees
+    assert ("repeated scan" in problems.counts) == sees

@@ -10,7 +10,7 @@ import numpy as np
 
 from impslam.columns import Motions, Sweeps
 from impslam.geometry.kernels import kernel
-from impslam.health import COVERED, REPEATED, SKIPPED, Reasons
+from impslam.health import COVERED, NONE, REPEATED, SKIPPED, Reasons
 from impslam.noise import MAX_GAP
 from impslam.sources.base import Problems
 from impslam.tracking.covered import Cover, hidden_beams, initial_cover
@@ -69,6 +69,9 @@ class Screening:
         share = hidden.sum(axis=1) / np.maximum(scans.valid.sum(axis=1), 1)
         reasons[:] = check_stream(stamps, scans.ranges, motions.d_pose, stream)
         repeated = reasons == REPEATED
+        # an empty scan equals any other; that the lidar sees nothing is reported elsewhere
+        repeated &= scans.valid.any(axis=1)
+        reasons[(reasons == REPEATED) & ~repeated] = NONE
         covered = (share > MAX_COVERED) & (reasons < COVERED)
         reasons[covered], amounts[covered] = COVERED, share[covered]
         for kind, which, message in (

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rosbags.rosbag1 import Writer as Writer1
 from tests.sources.bags import ROS1, ROS2, bag, image, imu, joints, odometry, scan
 from tests.sources.logs import assert_same, messages, read, write_mcap
 
@@ -89,13 +90,30 @@ def test_joints_by_name(tmp_path: Path) -> None:
 
 def test_joints_that_another_program_publishes_are_no_problem(tmp_path: Path) -> None:
     tilt = [("/js", joints(ROS2, ["laser_tilt_joint"], [0.1 * k], 1.0 + k)) for k in range(20)]
-    wheels = [("/js", joints(ROS2, ["left", "right"], [1.0, 2.0], 1.5 + k)) for k in range(9)]
+    wheels = [("/js", joints(ROS2, ["left", "right"], [1.0, 2.0], 0.5 + k)) for k in range(9)]
     found, source = read(bag(tmp_path / "b", *tilt[:9], *wheels, *tilt[9:]))
     assert len(found) == 9
     assert not source.problems.counts
     none, source = read(bag(tmp_path / "none", *tilt), topics={"wheels": "/js"})
     assert not none
     assert source.problems.counts == {"malformed wheels message": 20}
+
+
+def test_joints_of_two_publishers_with_connections_of_their_own(tmp_path: Path) -> None:
+    kind = "sensor_msgs/msg/JointState"
+    with Writer1(tmp_path / "two.bag") as writer:
+        arm, base = (
+            writer.add_connection("/js", kind, typestore=ROS1, callerid=name)
+            for name in ("/arm", "/base")
+        )
+        for k in range(9):
+            tilt = joints(ROS1, ["laser_tilt_joint"], [0.1 * k], 1.0 + k)
+            wheels = joints(ROS1, ["left", "right"], [1.0, 2.0], 1.5 + k)
+            writer.write(arm, (100 + k) * 10**9, ROS1.serialize_ros1(tilt, kind))
+            writer.write(base, (100 + k) * 10**9 + 1, ROS1.serialize_ros1(wheels, kind))
+    found, source = read(tmp_path / "two.bag")
+    assert len(found) == 9
+    assert not source.problems.counts
 
 
 def test_headers_without_stamp_fall_back_on_the_time_of_logging(tmp_path: Path) -> None:

@@ -70,8 +70,8 @@ class RowReader:
     ) -> None:
         self._path, self._bag, self._uses, self._joints = path, bag, uses, joints
         self._odometry, self._problems = odometry, problems
-        wheels = [c for c in bag.connections if uses.get(c.topic) == "wheels"]
-        self._wheel_topics = {c.topic for c in wheels if not lacks_wheels(bag, c, joints)}
+        wheels = [topic for topic, use in uses.items() if use == "wheels"]
+        self._wheel_topics = {topic for topic in wheels if not lacks_wheels(bag, topic, joints)}
         self._starts_at_zero = any(map(self._has_zero_start, bag.connections))
 
     def _has_zero_start(self, connection: Connection) -> bool:
@@ -194,14 +194,14 @@ class RowReader:
         return WheelAngles(stamp, left, right)
 
 
-def lacks_wheels(bag: Bag, connection: Connection, joints: tuple[str, str]) -> bool:
-    """Return whether the first messages of a connection contain joints, but no wheels.
+def lacks_wheels(bag: Bag, topic: str, joints: tuple[str, str]) -> bool:
+    """Return whether the first messages of a topic contain joints, but no wheels.
 
     Several programs may publish joints on one topic, each its own: wheels, and an arm.
     """
-    is_read = False
+    is_read, connections = False, [c for c in bag.connections if c.topic == topic]
     with suppress(Exception):  # rosbags may raise anything on damaged data
-        for _, _, data in islice(bag.messages([connection]), MAX_JOINT_MESSAGES):
+        for connection, _, data in islice(bag.messages(connections), MAX_JOINT_MESSAGES):
             with suppress(Exception):
                 names = bag.decoder(connection)(data).name
                 if ros.find_joints(names, *joints) is not None:

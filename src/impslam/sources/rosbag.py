@@ -195,14 +195,14 @@ class RosBag(Source):
             c.topic
             for c in bag.connections
             if (c.msgtype in TF_TYPES and c.topic != odometry)
-            or (c.msgtype in TYPES["wheels"] and self._lacks_wheels(bag, c))
+            or (c.msgtype in TYPES["wheels"] and self._lacks_wheels(bag, c.topic))
         }
         return {(topic, kind): n for (topic, kind), n in counts.items() if topic not in self._idle}
 
-    def _lacks_wheels(self, bag: Bag, connection: Connection) -> bool:
+    def _lacks_wheels(self, bag: Bag, topic: str) -> bool:
         """Return whether a topic has no wheel joints, and the user has not named it."""
-        is_named = connection.topic in self.topics.values()
-        return not is_named and lacks_wheels(bag, connection, (self.left_joint, self.right_joint))
+        is_named = topic in self.topics.values()
+        return not is_named and lacks_wheels(bag, topic, (self.left_joint, self.right_joint))
 
     def _default(self, use: Use) -> str:
         """Return the default topic of a use, or ""."""

@@ -77,6 +77,11 @@ def test_names_that_are_not_utf_8(imp, words) -> None:
     fails(imp(*words), "is not UTF-8; rename it")
 
 
+def test_too_many_arguments(imp, room) -> None:
+    fails(imp("run", room, "b.bag"), "imp run takes no further argument, but got b.bag")
+    fails(imp("map", "info", "a", "b", "c"), "got b c; see imp map info --help")
+
+
 def test_unknown_preset(imp, room) -> None:
     fails(imp("run", room, "-c", "imq"), "imq", "did you mean 'imp'?")
     fails(imp("config", "defalt"), "defalt", "did you mean 'default'?")

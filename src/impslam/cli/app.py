@@ -6,7 +6,7 @@ import sys
 import traceback
 from collections.abc import Callable, Sequence
 
-from cyclopts import App, CycloptsError
+from cyclopts import App, CycloptsError, UnusedCliTokensError
 
 import impslam
 from impslam.cli import pipes, startup_notice
@@ -164,7 +164,13 @@ def _check_encoding(words: list[str]) -> None:
 
 
 def _run_command(words: list[str]) -> None:
-    command, bound, _ = make_app().parse_args(words, exit_on_error=False, print_error=False)
+    try:
+        command, bound, _ = make_app().parse_args(words, exit_on_error=False, print_error=False)
+    except UnusedCliTokensError as error:
+        name = " ".join(("imp", *(error.command_chain or ())))
+        unused = " ".join(error.unused_tokens or ())
+        text = f"{name} takes no further argument, but got {unused}; see {name} --help"
+        raise ImpError(text) from error
     configure_logging(bound.arguments.get("common"))
     run: Callable[..., object] = command
     startup_notice.begin(words)

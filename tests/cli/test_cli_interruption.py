@@ -20,8 +20,10 @@ from impslam.map import Map
 from impslam.provenance import fingerprint
 
 WRITTEN = RUN_FILES - {"graph.g2o", "truth.landmarks.csv"}
+# Programs that nohup starts, this test among them, ignore SIGHUP.
 SLOWLY = """
-import resource, sys, time
+import resource, signal, sys, time
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
 from impslam.cli import bar, main
 from impslam.observers import recorder, trajectory
 trajectory.FLUSH_ROWS = 1

@@ -53,6 +53,11 @@ def _starts(sizes: Ints) -> Ints:
     return np.concatenate([[0], np.cumsum(sizes)])
 
 
+def _rows(starts: Ints, chosen: list[int]) -> Ints:
+    """Return the rows of the chosen pairs, in the order of these."""
+    return np.array([row for p in chosen for row in range(starts[p], starts[p + 1])], np.int64)
+
+
 def _remaining(values: npt.NDArray[T]) -> npt.NDArray[T]:
     """Return the sums of the values from each index to the end, followed by 0."""
     return np.append(values, values[:1] * 0)[::-1].cumsum()[::-1]
@@ -112,8 +117,7 @@ class _System:
             self._budget,
         )
         chosen = [p for p in best.tolist() if p != NONE]
-        taken = [row for p in chosen for row in range(starts[p], starts[p + 1])]
-        index = np.array(taken, np.int64)
+        index = _rows(starts, chosen)
         block, residual = S[np.ix_(index, index)], nu[index]
         score = float(residual @ np.linalg.solve(block, residual) + np.linalg.slogdet(block)[1])
         return pairs[chosen].tolist(), score
@@ -124,9 +128,7 @@ class _System:
         With P = S^-1 of the chosen pairs, the innovation of a pair has the conditional covariance
         P_pp^-1 and the conditional mean error P_pp^-1 (P nu)_p.
         """
-        starts = _starts(self.dims)
-        blocks = [np.arange(starts[p], starts[p + 1]) for p in chosen]
-        rows = np.concatenate(blocks)
+        rows = _rows(_starts(self.dims), chosen)
         P = np.linalg.inv(self._S[np.ix_(rows, rows)])
         pull, ends = P @ self._innovation[rows], _starts(self.dims[chosen])
         costs = np.empty(len(chosen))
@@ -163,7 +165,6 @@ class Jcbb(Association):
         "which is compatible but perhaps not the largest",
         ge=1,
     )
-
     density: float = parameter(
         DENSITY,
         "1/z",

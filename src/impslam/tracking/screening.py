@@ -68,10 +68,9 @@ class Screening:
         hidden = hidden_beams(motions.d_pose, scans, cover)
         share = hidden.sum(axis=1) / np.maximum(scans.valid.sum(axis=1), 1)
         reasons[:] = check_stream(stamps, scans.ranges, motions.d_pose, stream)
+        # Empty scans are equal; that the lidar sees nothing is reported elsewhere.
+        reasons[(reasons == REPEATED) & ~scans.valid.any(axis=1)] = NONE
         repeated = reasons == REPEATED
-        # an empty scan equals any other; that the lidar sees nothing is reported elsewhere
-        repeated &= scans.valid.any(axis=1)
-        reasons[(reasons == REPEATED) & ~repeated] = NONE
         covered = (share > MAX_COVERED) & (reasons < COVERED)
         reasons[covered], amounts[covered] = COVERED, share[covered]
         for kind, which, message in (

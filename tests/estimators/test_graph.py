@@ -383,7 +383,7 @@ def test_covariances_of_landmarks_include_those_of_the_poses_that_saw_them():
 
 
 def test_without_a_loop_settling_keeps_the_covariances():
-    made = begun()
+    made = begun(scale_sigma=0.0)  # its part changes with the refined poses
     truth = way(*LAP[:3])
     claimed = [r.covariances[-1] for r in driven(made, keyframes(RING, truth))]
     np.testing.assert_allclose(made.settle().covariances, claimed, rtol=1e-9, atol=1e-15)

@@ -25,6 +25,7 @@ from impslam.estimators.keyframe_log import (
     revised,
 )
 from impslam.estimators.loop_closing import LoopCloser, LoopSearch, Place
+from impslam.estimators.map_scale import landmark_with_scale, with_scale
 from impslam.estimators.pose_graph import PoseGraph
 from impslam.estimators.restoring import MIN_SIGMA, restored
 from impslam.estimators.session_finder import SessionFinder
@@ -65,6 +66,13 @@ class Graph(Estimator):
     rounds: int = parameter(
         2, "1", "linearisations that refine all keyframes at the end", ge=1, le=100
     )
+    scale_sigma: float = parameter(
+        0.01,
+        "1",
+        "standard deviation of the scale of a lidar's ranges, and so of the map: a data sheet's 1 %",
+        ge=0,
+        le=1,
+    )
     loops: LoopSearch = parameter(LoopSearch(), "", "where to search for closures")
 
     _graph: PoseGraph = PrivateAttr(default_factory=PoseGraph)
@@ -101,6 +109,9 @@ class Graph(Estimator):
 
     def add(self, keyframe: Keyframe) -> Revision:
         """Process a keyframe; see `Estimator.add`."""
+        return self._with_scale(self._add(keyframe))
+
+    def _add(self, keyframe: Keyframe) -> Revision:
         self._settled = None
         used, refused = _usable(keyframe)
         self._extend_chain(used, keyframe.motion)
@@ -241,6 +252,14 @@ class Graph(Estimator):
         ids = np.arange(begin, len(poses))
         return Revision(ids, poses[begin:], covariances[begin:], placed=placed[begin:])
 
+    def _with_scale(self, revision: Revision) -> Revision:
+        """Return a revision whose covariances include that of the scale; those of a frozen map do."""
+        if self._known is not None:
+            return revision
+        origin = self._graph.poses[0, :2]
+        covariances = with_scale(revision.covariances, revision.poses, origin, self.scale_sigma)
+        return replace(revision, covariances=covariances)
+
     def settle(self) -> Revision | None:
         """Refine all keyframes jointly; see `Estimator.settle`."""
         if len(self._graph) == 0:
@@ -255,7 +274,7 @@ class Graph(Estimator):
         part = _refinable(self._keys, graph)
         poses = refined(blended(self._keys, graph), self._keys, self.rounds, part)
         self._settled = replace(settled, poses=poses[settled.ids], refused=refused)
-        return self._settled
+        return self._with_scale(self._settled)
 
     def landmarks(self) -> tuple[Landmark, ...]:
         """Return the landmarks at the keyframes' poses; after `settle`, at the refined ones."""
@@ -270,7 +289,9 @@ class Graph(Estimator):
             rows = np.flatnonzero(revision.placed)
             poses, covariances, sightings = poses[rows], covariances[rows], sightings.part(rows)
         scans = self._keys.placed_scans(poses, rows)
-        return landmarks_of(poses, covariances, sightings, self._models, scans)
+        found = landmarks_of(poses, covariances, sightings, self._models, scans)
+        origin = self._graph.poses[0, :2]
+        return tuple(landmark_with_scale(mark, origin, self.scale_sigma) for mark in found)
 
     def draft(self) -> Draft:
         """Return a snapshot of the estimate; see `Estimator.draft`."""

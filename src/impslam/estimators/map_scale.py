@@ -1,0 +1,39 @@
+"""Uncertainty of the scale of a map.
+
+All ranges of a lidar are too long by a common factor, within the accuracy of its data sheet. Scans that are
+matched with each other do not show it: the whole map and the path in it are too large by that factor. It is
+not estimated, only considered (Schmidt 1966): an error s of the scale moves a point p by s (p - o), where o
+is the first pose of the map. Relative to each other, poses and scans of one map are not affected.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from impslam.types import Array, Landmark
+
+
+def with_scale(covariances: Array, poses: Array, origin: Array, sigma: float) -> Array:
+    """Return the covariances (k, 3, 3) of poses (k, 3) including that of the scale.
+
+    `origin` (2,) m is the first position of the map, and `sigma` the standard deviation of the scale.
+    """
+    out, by_scale = covariances.copy(), sigma * (poses[:, :2] - origin)
+    out[:, :2, :2] += by_scale[:, :, None] * by_scale[:, None, :]
+    return out
+
+
+def landmark_with_scale(landmark: Landmark, origin: Array, sigma: float) -> Landmark:
+    """Return a landmark with a covariance that includes that of the scale; see `with_scale`.
+
+    Landmarks with parameters r and alpha are lines: their distance r from the origin of the map changes.
+    """
+    values = landmark.parameters
+    by_scale = landmark.position - origin
+    if "r" in values and "alpha" in values:
+        normal = np.array([np.cos(values["alpha"]), np.sin(values["alpha"])])
+        by_scale = np.array([values["r"] - normal @ origin, 0.0])
+    by_scale = sigma * by_scale
+    return replace(landmark, covariance=landmark.covariance + np.outer(by_scale, by_scale))

@@ -40,6 +40,7 @@ def fitted(config: Config, source: Source, *, odometry_is_free: bool) -> Config:
             continue
         if not is_given:
             _refuse_tilted(source, name, stream, mount)
+            _report_rivals(source, name, stream, mount)
             table = merge(table, {"mount": mount.pose, "upside_down": mount.upside_down})
             sensors[name] = table
         if _matches(mount, table):
@@ -173,13 +174,32 @@ def _lacks_odometry(config: Config, source: Source) -> bool:
 def _refuse_tilted(source: Source, name: str, stream: str, mount: Mount) -> None:
     assert mount.pose is not None
     if mount.tilt > MAX_TILT:
-        x, y, yaw = mount.pose
         raise SourceError(
             f"{source.path}: the laser of {stream} is tilted by {math.degrees(mount.tilt):.1f} degrees "
             f"({mount.origin}), and sees the floor or the ceiling; name a level one with --topic "
             "scan=TOPIC, or if the log is wrong, give its mount with "
-            f"--set 'sensors.{name}.mount=[{x:.3f},{y:.3f},{yaw:.4f}]'"
+            f"{_mount_settings(name, mount)}"
         )
+
+
+def _report_rivals(source: Source, name: str, stream: str, mount: Mount) -> None:
+    """Report a mount that the log contradicts, with the settings for the other one."""
+    for rival in mount.rivals:
+        source.problems.add(
+            "contradictory mounts",
+            f"{source.path}: the static transform {rival.origin} has different values: by the one that "
+            f"is used, the laser of {stream} is at {_describe_pose(mount)}, by another one at "
+            f"{_describe_pose(rival)}; if that is right, map with "
+            f"{_mount_settings(name, rival)}; let one program publish it",
+        )
+
+
+def _mount_settings(name: str, mount: Mount) -> str:
+    """Return the settings for a mount; without the second one, the laser would be upright."""
+    assert mount.pose is not None
+    x, y, yaw = mount.pose
+    pose = f"--set 'sensors.{name}.mount=[{x:.3f},{y:.3f},{yaw:.4f}]'"
+    return f"{pose} --set sensors.{name}.upside_down=true" if mount.upside_down else pose
 
 
 def _describe_mount(name: str, mount: Mount, config: Config) -> str:

@@ -36,6 +36,11 @@ def links(*ways):
     return 0.0, T.links(STAMP, ways)
 
 
+def moving(*messages):
+    """Return messages of /tf, at these times."""
+    return [(time, "/tf", message) for time, message in messages]
+
+
 def read(log):
     """Return what is read of a log with the mounts that TF gives, and what is wrong with it."""
     config, source = open_log(log)
@@ -82,8 +87,8 @@ def test_an_invalid_transform_is_left_out(entries, tmp_path, values, said):
 
 def test_scans_are_dropped_while_the_mount_differs(entries, tmp_path):
     moved = ("base_link", "laser", [0.1, 0.15, 0.1], ZERO)
-    changes = [links(*URDF), (0.35, T.links(STAMP, [moved])), (0.65, T.links(STAMP, URDF))]
-    found, problems, line = read(bag(tmp_path, entries, *changes))
+    changes = moving(links(*URDF), (0.35, T.links(STAMP, [moved])), (0.65, T.links(STAMP, URDF)))
+    found, problems, line = read(bag(tmp_path, [*entries, *changes]))
     assert "mount [0.100 m, 0.050 m, 0.0 deg]" in line
     stamps = [m.stamp - STAMP for m in found if isinstance(m, LaserScan)]
     np.testing.assert_allclose(stamps, [0.0, 0.1, 0.2, 0.3, 0.7, 0.8, 0.9], atol=1e-6)
@@ -96,13 +101,14 @@ def test_scans_are_dropped_while_the_mount_differs(entries, tmp_path):
 
 def test_a_mount_in_the_config_is_not_watched(entries, tmp_path):
     moved = ("base_link", "laser", [0.1, 0.15, 0.1], ZERO)
-    log = bag(tmp_path, entries, links(*URDF), (0.35, T.links(STAMP, [moved])))
+    changes = moving(links(*URDF), (0.35, T.links(STAMP, [moved])))
+    log = bag(tmp_path, [*entries, *changes])
     config, source = open_log(log, None, ["sensors.lidar.mount=[0.1, 0.1, 0.0]"])
     with source:
         found = list(columns.messages(source.batches()))
     assert sum(isinstance(m, LaserScan) for m in found) == 10
     assert not source.problems.counts
-    said = "mount [0.100 m, 0.100 m, 0.0 deg], the config; not [0.100 m, 0.050 m, 0.0 deg], /tf_static: "
+    said = "mount [0.100 m, 0.100 m, 0.0 deg], the config; not [0.100 m, 0.050 m, 0.0 deg], /tf: "
     assert said in choices(config, source)
 
 
@@ -134,7 +140,7 @@ def test_the_transforms_at_the_first_scan_count(entries, tmp_path):
     early = [(-1.0, T.links(STAMP, [URDF[0], before])), (-0.5, T.links(STAMP, URDF))]
     problems, line = read(bag(tmp_path, entries, *early))[1:]
     assert "mount [0.100 m, 0.050 m, 0.0 deg]" in line
-    assert not problems.counts
+    assert problems.counts == {"contradictory mounts": 1}
 
 
 @pytest.mark.parametrize("pitch", [0.02, 0.5])
@@ -269,3 +275,40 @@ def test_a_second_topic_of_the_same_laser_is_not_another_lidar(entries, tmp_path
     line = read(bag(tmp_path, [*entries, *copies], links(*URDF)))[2]
     assert "is from the same laser as /scan; --topic scan=/stable reads it instead" in line
     assert "another lidar" not in line
+
+
+def test_contradictory_static_transforms_are_reported_and_scans_used(entries, tmp_path):
+    rival = ("base_link", "laser", [0.3, 0.05, 0.1], [0, 0, 0.5])
+    log = bag(tmp_path, entries, links(*URDF), (0.35, T.links(STAMP, [rival])))
+    found, problems, line = read(log)
+    assert sum(isinstance(m, LaserScan) for m in found) == 10
+    assert "mount [0.100 m, 0.050 m, 0.0 deg]" in line
+    assert problems.counts == {"contradictory mounts": 1}
+    said = problems.examples["contradictory mounts"]
+    assert "the static transform base_link -> laser has different values" in said
+    assert (
+        "is used, the laser of /scan is at [0.100 m, 0.050 m, 0.0 deg], by another one at" in said
+    )
+    fix = said.partition("--set '")[2].partition("'")[0]
+    config, source = open_log(log, None, [fix])
+    assert "mount [0.300 m, 0.050 m, 28.6 deg], the config" in choices(config, source)
+    assert not source.problems.counts
+
+
+def test_static_transforms_that_differ_in_height_do_not_contradict(entries, tmp_path):
+    lower = ("base_link", "laser", [0.1, 0.05, 0.0], ZERO)
+    found, problems, _ = read(bag(tmp_path, entries, links(*URDF), (0.35, T.links(STAMP, [lower]))))
+    assert sum(isinstance(m, LaserScan) for m in found) == 10
+    assert not problems.counts
+
+
+@pytest.mark.parametrize("roll", [0, math.pi])
+def test_of_contradictory_static_transforms_the_other_may_be_upside_down(entries, tmp_path, roll):
+    used, other = (
+        ("base_link", "laser", [x, 0.05, 0.1], [tilt, 0, 0])
+        for x, tilt in ((0.1, roll), (0.2, math.pi))
+    )
+    ways = [links(URDF[0], used), (0.35, T.links(STAMP, [other]))]
+    problems = read(bag(tmp_path, entries, *ways))[1]
+    said = problems.examples["contradictory mounts"]
+    assert "--set sensors.lidar.upside_down=true" in said

@@ -51,6 +51,7 @@ class Mount:
     tilt : angle between its plane and that of base, rad
     origin : the part of the log that contains it, or why it is unknown
     base : name of the base frame in the log
+    rivals : other mounts by contradictory parts of the log, which are their `origin`
     """
 
     pose: tuple[float, float, float] | None
@@ -58,6 +59,7 @@ class Mount:
     tilt: float = 0.0
     origin: str = ""
     base: str = ""
+    rivals: tuple[Mount, ...] = ()
 
 
 @dataclass(slots=True)

@@ -46,7 +46,7 @@ class MountWatch:
         for stream, frames in self._lasers.items():
             with suppress(MessageError):
                 T, _ = self._tree.chain(*frames)
-                self._moved[stream] = _difference(self._first[stream], T)
+                self._moved[stream] = difference(self._first[stream], T)
 
     def may_be_in(self, data: bytes) -> bool:
         """Return whether a serialised message contains the name of one of the frames."""
@@ -57,7 +57,8 @@ class MountWatch:
         return self._moved.get(stream, "")
 
 
-def _difference(first: Array, now: Array) -> str:
+def difference(first: Array, now: Array) -> str:
+    """Describe the difference of two transforms (4, 4); "" if it is too small to matter."""
     with np.errstate(all="ignore"):  # a damaged log may move it by 1e300 m
         D = np.linalg.inv(first) @ now
         shift = float(np.linalg.norm(D[:3, 3]))

@@ -19,6 +19,7 @@ from impslam.sources.mount_watch import MountWatch
 from impslam.sources.ros_messages import read_transform
 from impslam.sources.ros_storage import Bag, RosMessage
 from impslam.sources.ros_topics import TF_TYPES, TYPES, is_truth
+from impslam.sources.static_links import StaticLinks
 from impslam.sources.transforms import FrameTransform, FrameTree, flattened
 from impslam.types import Array
 
@@ -66,7 +67,7 @@ class Frames:
         self.receivers: dict[str, str] = {}
         self._path, self._problems = path, problems
         self._tree, self._sources = FrameTree(), dict[str, str]()
-        self._bad: dict[str, str] = {}
+        self._static, self._bad = StaticLinks(), dict[str, str]()
         self._edges: dict[Edge, None] = {}
         self._children: dict[str, str] = {}
         publishers = [c for c in bag.connections if c.msgtype in TF_TYPES and c.msgcount]
@@ -108,7 +109,8 @@ class Frames:
         for transform in message.transforms:
             parent, child = _plain(transform.header.frame_id), _plain(transform.child_frame_id)
             self._edges[Edge(topic, transform.header.frame_id, transform.child_frame_id)] = None
-            if not is_before and self._tree.get(child) is not None:
+            counts = is_before or self._tree.get(child) is None
+            if not counts and not topic.endswith(STATIC):
                 continue
             try:
                 link = FrameTransform(parent, child, read_transform(transform))
@@ -117,14 +119,21 @@ class Frames:
                     child, f"the transform {parent} -> {child} is not valid: {error}"
                 )
                 continue
-            if self._tree.add(link):
-                self._sources[child] = topic
-            else:
-                self._problems.add(
-                    "frame with two parents",
-                    f"{self._path}: {topic}: {child} has another parent than {parent}; the first "
-                    "one is used: let only one program publish its transform",
-                )
+            if topic.endswith(STATIC):
+                self._static.add(link)
+            if counts:
+                self._set(topic, link)
+
+    def _set(self, topic: str, link: FrameTransform) -> None:
+        """Set a link of the tree; report a child that has another parent already."""
+        if self._tree.add(link):
+            self._sources[link.child] = topic
+        else:
+            self._problems.add(
+                "frame with two parents",
+                f"{self._path}: {topic}: {link.child} has another parent than {link.parent}; the "
+                "first one is used: let only one program publish its transform",
+            )
 
     def _is_complete(self) -> bool:
         """Return whether the mounts of all lasers are known, and odometry if no topic contains it."""
@@ -175,10 +184,10 @@ class Frames:
         return MountWatch(self._tree, {t: (base, self.lasers[t]) for t, base in known.items()})
 
     def publishers(self, bag: Bag, frames: Collection[str]) -> list[Connection]:
-        """Return the connections that publish some frames, including all static ones."""
+        """Return the connections that may move some frames: those that publish them, except static ones."""
         topics = {self._sources[frame] for frame in frames}
         found = [c for c in bag.connections if c.msgtype in TF_TYPES]
-        return [c for c in found if topics and (c.topic in topics or _is_static(c))]
+        return [c for c in found if c.topic in topics and not _is_static(c)]
 
     def _mount(self, frame: str, base: str) -> Mount:
         try:
@@ -193,7 +202,11 @@ class Frames:
         planar = flattened(T)
         topics = ", ".join(dict.fromkeys(self._sources[link.child] for link in links))
         origin = f"{topics + ': ' if topics else ''}{base} -> {frame}"
-        return Mount(planar.pose, planar.upside_down, planar.tilt, origin, base)
+        rivals = tuple(
+            Mount(*rival, f"{link.parent} -> {link.child}", base)
+            for link, rival in self._static.rivals(self._tree, base, frame)
+        )
+        return Mount(*planar, origin, base, rivals)
 
     def _chain(self, base: str, frame: str) -> tuple[Array, list[FrameTransform]]:
         """Return `T_base_frame` and its links; raise `MessageError` if there is none on the robot."""

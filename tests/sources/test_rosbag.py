@@ -319,3 +319,19 @@ def test_joints_without_wheels_are_not_read(tmp_path: Path) -> None:
     }
     found, _ = read(path, left_joint="shoulder", right_joint="elbow")
     assert [type(m) for m in found] == [WheelAngles, WheelAngles, LaserScan]
+
+
+@pytest.mark.parametrize("plugin", ["sqlite", "mcap"])
+def test_the_metadata_of_a_bag_stands_for_its_folder(tmp_path: Path, plugin: str) -> None:
+    path = bag(tmp_path / plugin, ("/scan", scan(ROS2)))
+    assert recognise(path / "metadata.yaml") is RosBag
+    (found,), source = read(path / "metadata.yaml")
+    assert_same(found, read(path)[0][0])
+    assert source.path == path
+
+
+def test_metadata_of_another_program_are_no_bag(tmp_path: Path) -> None:
+    (tmp_path / "metadata.yaml").write_text("title: notes\n")
+    bag(tmp_path / "mcap", ("/scan", scan(ROS2)))
+    with pytest.raises(SourceError, match=r"metadata\.yaml: no known log format"):
+        recognise(tmp_path / "metadata.yaml")

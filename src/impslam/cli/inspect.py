@@ -53,9 +53,9 @@ def inspect(
     if json:
         from impslam.cli.inspect_json import as_json
 
-        console.echo(as_json(log, source, named, streams, survey, ambient))
+        console.echo(as_json(source.path, source, named, streams, survey, ambient))
         return
-    console.echo(f"{log}: {source.name}, preset {named}")
+    console.echo(f"{source.path}: {source.name}, preset {named}")
     _show_streams(streams, survey.reads)
     console.echo(f"reads: {choices(chosen, source)}")
     _show_clocks(survey)

@@ -133,7 +133,9 @@ def run(  # noqa: PLR0913  # each is an option that a user may give
     if known_map is not None:
         chosen = _continuing_config(chosen, changes, quiet=quiet)
     player = partial(replay, port=page.port, quiet=quiet) if page.live else None
-    with run_folder(output, log.resolve().name.split(".")[0] or "log", force=force) as folder:
+    with run_folder(
+        output, source.path.resolve().name.split(".")[0] or "log", force=force
+    ) as folder:
         health = _first_look(chosen, source, config, quiet=quiet)
         known = execute(
             chosen, source, folder, quiet or page.live,

@@ -37,10 +37,21 @@ _TRANSFORMS: Any = (
 _REPAIR = "repair it with `rosbag reindex`, `ros2 bag reindex` or `mcap recover`, or copy it again"
 
 
+METADATA, METADATA_KEY = "metadata.yaml", b"rosbag2_bagfile_information"
+
+
+def folder_of(path: Path) -> Path:
+    """Return the folder of a ROS 2 bag whose metadata.yaml is given; other paths as they are."""
+    if path.name != METADATA or not path.is_file():
+        return path
+    with path.open("rb") as file:
+        return path.parent if METADATA_KEY in file.read(4096) else path
+
+
 def storage_class(path: Path) -> Callable[[Path], Storage] | None:
     """Return the reader of a file, by its first bytes, or of a folder, by its metadata.yaml or files."""
     if path.is_dir():
-        if (path / "metadata.yaml").is_file():
+        if (path / METADATA).is_file():
             return BagFolder
         return UnlistedFolder if UnlistedFolder.pieces(path) else None
     try:

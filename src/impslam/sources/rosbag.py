@@ -12,7 +12,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import ClassVar, Self
 
-from pydantic import PrivateAttr
+from pydantic import PrivateAttr, field_validator
 from rosbags.interfaces import Connection
 
 from impslam.columns import ROWS
@@ -22,7 +22,7 @@ from impslam.sources.base import Mount, Source, Stream
 from impslam.sources.parts import Piece
 from impslam.sources.ros_frames import Edge, Frames, links
 from impslam.sources.ros_rows import Record, RowReader, lacks_wheels
-from impslam.sources.ros_storage import Bag, one_line, storage_class
+from impslam.sources.ros_storage import Bag, folder_of, one_line, storage_class
 from impslam.sources.ros_topics import (
     EVENT_TYPE,
     KEPT,
@@ -78,7 +78,12 @@ class RosBag(Source):
     @classmethod
     def recognises(cls, path: Path) -> bool:
         """Recognise the format by the magic bytes of a file, or by the files in a folder."""
-        return storage_class(path) is not None
+        return storage_class(folder_of(path)) is not None
+
+    @field_validator("path")
+    @classmethod
+    def _is_whole(cls, path: Path) -> Path:
+        return folder_of(path)
 
     def __enter__(self) -> Self:
         self._bag = Bag(self.path)

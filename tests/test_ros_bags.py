@@ -94,5 +94,5 @@ def test_a_folder_that_its_recorder_did_not_close_is_one_log(room, tmp_path, plu
     assert "ros2 bag reindex" in source.problems.examples["cut file"]
     (piece,) = log.glob("bag_9.*")
     piece.rename(piece.with_stem("other_9"))
-    with pytest.raises(SourceError, match="no known log format"):  # two logs, not two pieces of one
+    with pytest.raises(SourceError, match=r"it contains 2 logs, bag_10\..*, other_9\."):
         open_log(log)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Collection, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar, Self
@@ -12,7 +13,8 @@ from pydantic import PrivateAttr
 
 from impslam.columns import ROWS, Batch
 from impslam.component import Component, find, names, near_miss, parameter
-from impslam.errors import SourceError
+from impslam.errors import ImpError, SourceError
+from impslam.sources.folders import explain_folder
 from impslam.sources.parts import LocatedMessage, Piece, gather, to_batches
 from impslam.sources.stamps import StampCheck
 from impslam.types import Message, TrueLandmark
@@ -241,17 +243,34 @@ def recognise(path: Path) -> type[Source]:
         )
     if path.is_file() and path.stat().st_size == 0:
         raise SourceError(f"{path}: the file is empty; record or copy it again")
-    known, reasons = names("source"), list[str]()
-    for name in known:  # one by one, so that a text log does not import the bag readers
-        cls = find("source", name)
-        if issubclass(cls, Source):
-            if cls.recognises(path):
-                return cls
-            reasons.append(cls.explain_refusal(path))
+    reasons = []
+    for cls in _kinds():
+        if cls.recognises(path):
+            return cls
+        reasons.append(cls.explain_refusal(path))
+    if path.is_dir() and (content := explain_folder(path, _is_log)):
+        raise SourceError(f"{path}: is no log itself; {content}")
     if path.is_file() and _begins_with_zeros(path):
         reasons.append("it begins with zeros: writing was interrupted, or the disk lost the data")
-    text = f"{path}: no known log format; readable are {', '.join(known)} (see `imp list`)"
+    known = ", ".join(names("source"))
+    text = f"{path}: no known log format; readable are {known} (see `imp list`)"
     raise SourceError("; ".join([text, *filter(None, reasons)]))
+
+
+def _kinds() -> Iterator[type[Source]]:
+    """Yield all sources, one by one, so that a text log does not import the bag readers."""
+    for name in names("source"):
+        cls = find("source", name)
+        if issubclass(cls, Source):
+            yield cls
+
+
+def _is_log(path: Path) -> bool:
+    """Return whether an entry of a folder is a log, as far as it can be read."""
+    with suppress(ImpError, OSError):
+        is_filled = path.is_dir() or (path.is_file() and path.stat().st_size > 0)
+        return is_filled and any(cls.recognises(path) for cls in _kinds())
+    return False
 
 
 def _begins_with_zeros(path: Path) -> bool:

@@ -1,0 +1,33 @@
+"""Says which logs are in a folder that is no log itself."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import islice
+from pathlib import Path
+
+MAX_SEARCHED, MAX_NAMED = 200, 5
+"""Entries of a folder that are examined, and logs that are named."""
+RUN_FILES = ("summary.json", "config.toml")
+"""Files of the result of a run; its tables look like logs."""
+
+
+def explain_folder(folder: Path, is_log: Callable[[Path], bool]) -> str:
+    """Return what a folder contains and what to do with it; "" if it contains no log.
+
+    Hidden files are ignored.
+    """
+    if all((folder / name).is_file() for name in RUN_FILES):
+        return f"it contains the result of a run: give its log, or add others with --map {folder}/map.imp"
+    entries = sorted(islice(folder.iterdir(), MAX_SEARCHED))
+    logs = [path for path in entries if not path.name.startswith(".") and is_log(path)]
+    if not logs:
+        return ""
+    named = ", ".join(path.name for path in logs[:MAX_NAMED])
+    more = f" and {len(logs) - MAX_NAMED} more" if len(logs) > MAX_NAMED else ""
+    if len(logs) == 1:
+        return f"it contains the log {named}: give {logs[0]}"
+    return (
+        f"it contains {len(logs)} logs, {named}{more}: give one of them, such as {logs[0]}, and add others "
+        "to its map with --map"
+    )

@@ -49,6 +49,8 @@ def fitted(config: Config, source: Source, *, odometry_is_free: bool) -> Config:
     changes: dict[str, Any] = {"sensors": sensors, "landmarks": _with_antenna(config, source)}
     if odometry_is_free and _lacks_odometry(config, source):
         changes["odometry"] = {"kind": "lidar_only"}
+        if hint := source.unknown_odometry():
+            source.problems.add("unknown odometry", f"{source.path}: {hint}")
     return config.model_copy(update=changes)
 
 

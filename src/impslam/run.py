@@ -363,10 +363,11 @@ class Run:
                 f"{source.path}: contains no usable scan; `imp inspect` lists its contents"
             )
         if not self.robot.counts.get(wanted):
+            hint = source.unknown_odometry() or "`imp inspect` lists its contents"
             raise SourceError(
                 f"{source.path}: no {wanted} for odometry {self.config.odometry['kind']!r} in "
-                "it; `imp inspect` lists its contents; choose another with --set odometry.kind=..., or "
-                "lidar_only to map without odometry"
+                f"it; {hint}; choose another with --set odometry.kind=..., or lidar_only to map without "
+                "odometry"
             )
 
     def _logs(self, outcome: Outcome) -> list[dict[str, Any]]:

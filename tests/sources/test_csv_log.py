@@ -10,6 +10,7 @@ from tests.sources.logs import read
 import impslam
 from impslam.cli import main
 from impslam.errors import SourceError
+from impslam.open_log import open_log
 from impslam.simulation.robot import Lidar, SimulatedRobot, WheelEncoders
 from impslam.simulation.simulate import simulate
 from impslam.simulation.world import load_world
@@ -238,3 +239,34 @@ def test_a_csv_log_is_mapped(tmp_path: Path, capsys: pytest.CaptureFixture[str])
         for stamp, *pose in known.path():
             nearest = min(truth, key=lambda t: abs(t - stamp))
             assert math.dist(pose[:2], truth[nearest][:2]) < 0.01
+
+
+@pytest.mark.parametrize("names", ["px,py,phi", "x,y,phi", "odometry_left,odometry_right,seq"])
+def test_columns_that_may_be_odometry_are_named(tmp_path: Path, names: str) -> None:
+    path = log(tmp_path, f"t,{names},0,1,2", "0,1,2,0.5,4,5,6", "1,1,2,0.5,4,5,6")
+    config, source = open_log(path)
+    assert config.odometry == {"kind": "lidar_only"}
+    assert source.problems.counts == {"unknown odometry": 1}
+    said = source.problems.examples["unknown odometry"]
+    assert f"columns {names.replace(',', ', ')} are not read" in said
+    assert "x+y+theta or " in said
+    assert "--columns x=NAME,y=NAME,theta=NAME" in said
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        "t,x,y,theta,0,1,2",
+        "t,intensity0,intensity1,intensity2,0,1,2",
+        "%time,field.header.seq,0,1,2,3,4",
+    ],
+)
+def test_other_columns_are_not_taken_for_odometry(tmp_path: Path, header: str) -> None:
+    _, source = open_log(log(tmp_path, header, "0,1,2,0.5,4,5,6", "1,1,2,0.5,4,5,6"))
+    assert not source.problems.counts
+
+
+def test_a_run_without_the_odometry_of_its_config_names_the_columns(tmp_path: Path) -> None:
+    path = log(tmp_path, "t,px,py,phi,0,1,2", "0,1,2,0.5,4,5,6", "1,1,2,0.5,4,5,6")
+    with pytest.raises(SourceError, match="columns px, py, phi are not read"):
+        impslam.run(path, "default")

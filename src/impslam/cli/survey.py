@@ -150,7 +150,7 @@ class Survey:
         self._add_motions(self._robot.flush())
         if self._scans < 2:  # no path: all motion
             self._add_steps(np.vstack((*self._before, self._robot.ahead().d_pose)))
-        self._check_log()
+        self._check_log(source.unknown_odometry())
         self.findings = diagnose(self._config, self._head.batches, source.defaults())
 
     @property
@@ -183,7 +183,7 @@ class Survey:
         self.distance += float(np.hypot(steps[:, 0], steps[:, 1]).sum())
         self.rotation += float(np.abs(steps[:, 2]).sum())
 
-    def _check_log(self) -> None:
+    def _check_log(self, unknown_odometry: str) -> None:
         """Record problems of the log as a whole."""
         needed = self._robot.odometry.consumes.__name__
         name, motion = self._sensor_name(), self.clocks.get(needed)
@@ -194,7 +194,7 @@ class Survey:
                 "--topic scan=NAME",
             )
         if motion is None:
-            self.problems.add("no odometry", self._no_odometry(needed))
+            self.problems.add("no odometry", self._no_odometry(needed, unknown_odometry))
         if name is not None and motion is not None:
             self._check_clocks(name, motion)
         if self.beams.poor > MAX_POOR_SHARE * self.beams.scans:
@@ -212,11 +212,11 @@ class Survey:
     def _scan_types(self) -> str:
         return " or ".join(sensor.consumes.__name__ for sensor in self._robot.sensors.values())
 
-    def _no_odometry(self, needed: str) -> str:
+    def _no_odometry(self, needed: str, unknown: str) -> str:
         kind = self._robot.odometry.name
         others = {"OdometryPose": "odometry_pose", "WheelAngles": "encoders"}
         fix = next((k for name, k in others.items() if name in self.clocks), None)
-        advice = self._settings(fix) if fix else "record wheel angles or odometry"
+        advice = self._settings(fix) if fix else unknown or "record wheel angles or odometry"
         return f"odometry {kind!r} needs {needed}, but the log contains none: {advice}"
 
     def _settings(self, kind: str) -> str:

@@ -171,6 +171,13 @@ class Source(Component):
         """
         return None
 
+    def unknown_odometry(self) -> str:
+        """Say what in a log without odometry may be odometry, and how to have it read; "" if nothing.
+
+        The source must be open, or have been open.
+        """
+        return ""
+
     def mounts(self) -> Mapping[str, Mount]:
         """Return the mounts of the lasers according to the log, by the stream of their scans.
 

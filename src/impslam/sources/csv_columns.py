@@ -49,10 +49,11 @@ MOTIONS: tuple[tuple[Role, ...], ...] = (
 )
 ECHO = "field."
 """How the names of `rostopic echo -p` begin, except that of the first column, %time; both are in ns."""
+MAX_SHOWN = 8  # maximum number of columns that a message names
 MIN_BEAMS = 3  # minimum number of consecutively numbered columns to recognise them as beams
 
-NOT_RANGES = ("covariance", "intensit")
-"""Parts of the names of other numbered columns, in what `rostopic echo` writes."""
+EXTRAS = ("covariance", "intensit")
+"""Parts of the names of other columns, often numbered ones, in what `rostopic echo` writes."""
 
 
 class CsvCells(NamedTuple):
@@ -71,11 +72,13 @@ class CsvLayout(NamedTuple):
     cells : the columns by role
     motion : the roles that are odometry; empty if there is none
     angles : (n,) rad, of the beams; None if each row contains them, or if there are no ranges
+    unread : the names of the columns without a role, except `EXTRAS`
     """
 
     cells: Mapping[Role, CsvCells]
     motion: tuple[Role, ...]
     angles: Array | None
+    unread: tuple[str, ...]
 
     @property
     def has_ranges(self) -> bool:
@@ -111,14 +114,27 @@ def layout(
     for role in needed:
         if role not in cells:
             example = "stamp=NAME" if role == "stamp" else "ranges=FIRST:LAST"
-            shown = ", ".join(header[:8]) + (", ..." if len(header) > 8 else "")
             raise MessageError(
-                f"no column for {role} found ({shown}): name it with --columns {example}"
+                f"no column for {role} found ({shorten(header)}): name it with --columns {example}"
             )
     if is_echo and cells["stamp"].factor == 1.0:
         cells["stamp"] = cells["stamp"]._replace(factor=UNITS["ns"])
     angles = _angles(header, cells, start, step) if "ranges" in cells else None
-    return CsvLayout(cells, motion, angles)
+    return CsvLayout(cells, motion, angles, _unread(header, cells, motion))
+
+
+def _unread(
+    header: Sequence[str], cells: Mapping[Role, CsvCells], motion: Sequence[Role]
+) -> tuple[str, ...]:
+    """Return the names of columns that are not read; those of incomplete odometry are not."""
+    incomplete = {role for roles in MOTIONS for role in roles} - set(motion)
+    used = {k for role, (a, b, _) in cells.items() if role not in incomplete for k in range(a, b)}
+    return tuple(name for k, name in enumerate(header) if k not in used and not _is_extra(name))
+
+
+def shorten(columns: Sequence[str]) -> str:
+    """Return the names of some columns, or of the first of many, for a message."""
+    return ", ".join(columns[:MAX_SHOWN]) + (", ..." if len(columns) > MAX_SHOWN else "")
 
 
 def _given_cells(header: Sequence[str], role: Role, text: str) -> CsvCells:
@@ -177,9 +193,13 @@ def _stem(name: str) -> str | None:
     if _number(name) is not None:
         return ""
     found = re.fullmatch(r"(.*[^\d])\d+\]?", name)
-    if found is None or any(other in found[1].lower() for other in NOT_RANGES):
+    if found is None or _is_extra(found[1]):
         return None
     return found[1]
+
+
+def _is_extra(name: str) -> bool:
+    return any(other in name.lower() for other in EXTRAS)
 
 
 def _number(name: str) -> float | None:

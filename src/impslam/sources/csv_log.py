@@ -17,7 +17,7 @@ from pydantic import PrivateAttr
 from impslam.component import parameter, register
 from impslam.errors import MessageError, SourceError
 from impslam.sources.base import Stream
-from impslam.sources.csv_columns import CsvCells, CsvLayout, Role, layout
+from impslam.sources.csv_columns import ECHO, MOTIONS, CsvCells, CsvLayout, Role, layout, shorten
 from impslam.sources.parts import LocatedMessage
 from impslam.sources.text import TextSource, beam_angles, beam_times, check_finite, head
 from impslam.sources.transforms import yaw_of
@@ -97,6 +97,16 @@ class CsvLog(TextSource):
         motion = self._motion()
         scans = {LaserScan} if self._columns().has_ranges else set()
         return frozenset(scans if motion is None else {*scans, motion})
+
+    def unknown_odometry(self) -> str:
+        """Name the columns without a role if none are odometry."""
+        found, is_echo = self._columns(), any(name.startswith(ECHO) for name in self._header)
+        if found.motion or is_echo or not found.unread:
+            return ""
+        return (
+            f"columns {shorten(found.unread)} are not read, and none is odometry: that is named "
+            f"{' or '.join(map('+'.join, MOTIONS))}, or by --columns x=NAME,y=NAME,theta=NAME"
+        )
 
     def defaults(self) -> Mapping[type[Message], str]:
         """Return the streams of the file."""

@@ -68,8 +68,16 @@ def test_scans_of_changing_length_and_invalid_beams(imp, write) -> None:
     said = imp("inspect", log)
     assert "beams          21 to 31" in said.out
     assert "invalid beams  74.7 %" in said.out
-    assert "2 of 3 scans have fewer than 10 valid ranges" in said.out
+    assert "problem: 2 x scan without valid beams" in said.out
+    assert "few valid beams" not in said.out
     assert "not in the log" in said.out
+
+
+def test_scans_with_few_valid_beams_are_counted_apart_from_those_without(imp, write) -> None:
+    stamped = [scan(1.0), scan(2.0, r=0.0), scan(3.0, 7), scan(4.0, 8)]
+    said = imp("inspect", write([*stamped, WheelAngles(1.0, 0, 0)]))
+    assert "problem: 1 x scan without valid beams" in said.out
+    assert "2 of 4 scans have some, but fewer than 10 valid ranges" in said.out
 
 
 @pytest.mark.parametrize(

@@ -25,7 +25,7 @@ MIN_BEAMS = 10
 FULL_TURN_STEPS = 1.5
 """Steps from the last beam to the first of a full turn: one, in theory; drivers round the step."""
 MAX_POOR_SHARE = 0.5
-"""Share of scans with fewer beams above which a problem is reported."""
+"""Share of scans with fewer beams, or none, above which a problem is reported."""
 
 
 @dataclass(slots=True)
@@ -64,7 +64,7 @@ class StampStatistics:
 
 @dataclass(slots=True)
 class ScanGeometry:
-    """The geometry of the scans."""
+    """The geometry of the scans; `poor` ones have few valid beams, `blind` ones none."""
 
     counts: dict[int, int] = field(default_factory=dict)
     starts: set[float] = field(default_factory=set)
@@ -77,6 +77,7 @@ class ScanGeometry:
     invalid: int = 0
     scans: int = 0
     poor: int = 0
+    blind: int = 0
 
     def add(self, scan: LaserScan, lidar: Lidar2D | None) -> None:
         """Add a scan; the lidar of the config, if any, decides which beams are valid."""
@@ -94,7 +95,8 @@ class ScanGeometry:
             valid = lidar.scan(scan, np.zeros(3)).valid
         count = int(valid.sum())
         self.total, self.invalid = self.total + n, self.invalid + n - count
-        self.scans, self.poor = self.scans + 1, self.poor + (count < MIN_BEAMS)
+        self.scans, self.poor = self.scans + 1, self.poor + (0 < count < MIN_BEAMS)
+        self.blind += count == 0
         if valid.any():
             self.nearest = min(self.nearest, float(scan.ranges[valid].min()))
             self.farthest = max(self.farthest, float(scan.ranges[valid].max()))
@@ -197,10 +199,11 @@ class Survey:
             self.problems.add("no odometry", self._no_odometry(needed, unknown_odometry))
         if name is not None and motion is not None:
             self._check_clocks(name, motion)
-        if self.beams.poor > MAX_POOR_SHARE * self.beams.scans:
+        poor, blind = self.beams.poor, self.beams.blind  # the robot reports blind ones
+        if poor and poor + blind > MAX_POOR_SHARE * self.beams.scans:
             self.problems.add(
                 "few valid beams",
-                f"{self.beams.poor} of {self.beams.scans} scans have fewer than {MIN_BEAMS} valid ranges: "
+                f"{poor} of {self.beams.scans} scans have some, but fewer than {MIN_BEAMS} valid ranges: "
                 f"check the lidar, or sensors.{name}.range_min and range_max",
             )
 

@@ -62,6 +62,20 @@ def no_return(value: float) -> Change:
     return of(LaserScan, change)
 
 
+def noisy_no_return(limit: float, sigma: float, clamped: bool = False) -> Change:
+    """Give range_max = limit to beams that see nothing within it, with noise as of some simulators."""
+    rng = np.random.default_rng(0)
+
+    def change(c: Columns) -> Columns:
+        ranges = c["ranges"].copy()
+        far = ~((ranges > 0.0) & (ranges < limit))
+        noisy = limit + sigma * rng.standard_normal(ranges.shape)
+        ranges[far] = (np.minimum(noisy, limit) if clamped else noisy)[far]
+        return with_layout(with_values(c, ranges=ranges), range_max=limit)
+
+    return of(LaserScan, change)
+
+
 def body(width: float) -> Change:
     """Put a part of the robot in view, width rad of the middle half of the beams."""
 
@@ -112,8 +126,10 @@ def reversed_sweep() -> Change:
 # --------------------------------------------------------------------------- wheels
 
 
-def exchanged() -> Change:
-    return of(WheelAngles, lambda c: with_values(c, left=c["right"], right=c["left"]))
+def exchanged(scale: float = 1.0) -> Change:
+    return of(
+        WheelAngles, lambda c: with_values(c, left=scale * c["right"], right=scale * c["left"])
+    )
 
 
 def reversed_wheels(*sides: str) -> Change:

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from impslam.diagnosis.beams import BeamSamples, body_beams
+from impslam.diagnosis.beam_samples import BeamSamples
+from impslam.diagnosis.beams import body_beams
 
 ANGLES = np.linspace(-np.pi, np.pi, 360, endpoint=False)
 BESIDE = np.abs(ANGLES - 0.5 * np.pi) < 0.1

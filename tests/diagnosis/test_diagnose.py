@@ -55,12 +55,15 @@ CASES = {
         "sweep reversed",
     ),
     "standing": (faults.standing(), (), "odometry stands still"),
+    "standing, with noise": (faults.exchanged(1e-4), (), "odometry stands still"),
     "track": (faults.nothing(), ("odometry.track=0.46",), "track"),
     "radius": (faults.nothing(), ("odometry.wheel_radius=0.08",), "wheel radius"),
     "ratio": (faults.nothing(), ("odometry.right_left_ratio=1.1",), "wheels unequal"),
     "wrapping": (faults.wrapping(18.85), (), "encoder wraps"),
     "jitter": (faults.jitter(0.02), (), "stamps jitter"),
     "no return": (faults.no_return(4.0), (), "value for no return"),
+    "noisy no return": (faults.noisy_no_return(3.0, 0.02), (), "value for no return"),
+    "clamped no return": (faults.noisy_no_return(3.0, 0.02, True), (), "value for no return"),
     "body": (faults.body(0.3), (), "own body in view"),
     "sweep": (faults.sweep_of(0.5), (), "sweep too long"),
     "stops": (faults.stopping(20.0, 10.0), (), "odometry stops"),
@@ -166,6 +169,32 @@ def test_no_return_does_not_mean_a_covered_lidar_while_the_robot_stands(drive) -
     still = list(faults.faulty(drive, faults.parked()))
     assert found(faults.faulty(still, faults.blocked(0.3))) == []
     assert found(faults.faulty(still, faults.body(0.3))) == []
+
+
+@pytest.mark.parametrize("limit", [0.8, 2.0])
+@pytest.mark.parametrize("sigma", [0.01, 0.03])
+def test_noise_of_no_return_is_all_that_is_found_while_the_robot_stands(
+    drive, limit, sigma
+) -> None:
+    """It looks like a round wall, on which a standing lidar seems to turn, unlike the wheels."""
+    still = faults.faulty(drive, faults.parked())
+    creeping = faults.faulty(still, creeping_wheels())
+    wrong = list(faults.faulty(creeping, faults.noisy_no_return(limit, sigma)))
+    (only,) = found(wrong, MATCHED)
+    assert only.kind == "value for no return"
+    (fix,) = only.fix
+    name, _, value = fix.partition("=")
+    assert name == "sensors.lidar.range_max"
+    assert 0.5 * limit < float(value) < limit - 5.0 * sigma
+    assert found(wrong, MATCHED, fix) == []
+
+
+def creeping_wheels() -> faults.Change:
+    """Let the wheels of a standing robot creep, each the other way, as they do in simulators."""
+    return faults.of(
+        WheelAngles,
+        lambda c: faults.with_values(c, left=1e-3 * c["stamp"], right=-1e-3 * c["stamp"]),
+    )
 
 
 def test_mirrored_or_exchanged_without_a_gyro(drive) -> None:

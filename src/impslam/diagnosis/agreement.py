@@ -27,6 +27,10 @@ MIN_STRETCHES = 12
 """Stretches that a fit needs: twice the rows that its robust scale can be wrong about."""
 
 
+MIN_SCALE = 0.02
+"""Share of the laser's motion below which the sign of odometry's is chance: it creeps while it stands."""
+
+
 class Axis(NamedTuple):
     """The driving direction of the robot, in the laser's frame.
 
@@ -77,9 +81,25 @@ class Agreement(NamedTuple):
     turn: RobustFit
 
     @property
+    def opposes_distance(self) -> bool:
+        """Whether distances have opposite signs."""
+        return self.distance.is_negative(0) and self.distance.p[0] < -MIN_SCALE
+
+    @property
+    def opposes_turn(self) -> bool:
+        """Whether turns have opposite signs."""
+        return self.turn.is_negative(1) and self.turn.p[1] < -MIN_SCALE
+
+    @property
     def is_reversed(self) -> bool:
         """Whether distances have opposite signs and turns do not."""
-        return self.distance.is_negative(0) and not self.turn.is_negative(1)
+        return self.opposes_distance and not self.opposes_turn
+
+    @property
+    def is_noise(self) -> bool:
+        """Whether odometry hardly moves, and not with the laser: no unit of its readings explains that."""
+        scales = float(self.distance.p[0]), float(self.turn.p[1])
+        return min(scales) <= 0.0 and max(map(abs, scales)) < MIN_SCALE
 
 
 def fit_agreement(axle: Array, odometry: Array) -> Agreement:

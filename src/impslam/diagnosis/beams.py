@@ -1,26 +1,17 @@
-"""Check beams: a value that means no return, the robot's own body in view, and dead sectors."""
+"""Check beams: the robot's own body in view, and dead sectors."""
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
-from impslam.calibration.lidar_path import unmounted
+from impslam.diagnosis.beam_samples import BeamSamples
 from impslam.diagnosis.evidence import Evidence
 from impslam.diagnosis.finding import MAX_PROBABILITY, Finding
 from impslam.diagnosis.travel import SweepMotions, stretches
-from impslam.types import Array, Ints, Mask
+from impslam.types import Array, Ints
 
-MAX_SCANS = 400
-"""Scans that are checked, evenly spread over the log."""
-MIN_BEAM_SHARE, MIN_SCAN_SHARE = 0.005, 0.2
-"""Shares of valid beams, and of scans, with the value: if rarer, it does no harm."""
-MIN_PEAK_RATIO = 5.0
-"""Ratio of its frequency to the largest one beside it: on surfaces, frequencies change gradually."""
-PEAK_NEIGHBOURS = 20
-"""Values on either side with which it is compared."""
 MIN_DEAD_SHARE = 0.02
 """Share of all beams that are adjacent and have no return in any scan."""
 MAX_BODY_RANGE = 1.0
@@ -37,28 +28,11 @@ MIN_TRAVEL = (2.0, 1.5)
 stands sees the same things all the time, and open space in the same directions."""
 
 
-class BeamSamples(NamedTuple):
-    """Samples of scans.
-
-    `ranges` (m, n) as received, `valid` (m, n) by the config, `angles` (n,) rad, `headings` (m,) rad along
-    the path of the lidar.
-    """
-
-    ranges: Array
-    valid: Mask
-    angles: Array
-    headings: Array
-
-
 def check_beams(e: Evidence) -> list[Finding]:
-    """Find a value for no return among the ranges, beams that hit the robot itself, and dead sectors."""
-    sample = _sample(e)
-    if sample is None:
+    """Find beams that hit the robot itself, and dead sectors."""
+    if e.samples is None or not _travels(e.sweep_motions):
         return []
-    findings = _no_return(e, sample)
-    if _travels(e.sweep_motions):
-        findings += [*_body(e, sample), *_dead(e, sample)]
-    return findings
+    return [*_body(e, e.samples), *_dead(e, e.samples)]
 
 
 def _travels(motion: SweepMotions) -> bool:
@@ -71,46 +45,6 @@ def _travels(motion: SweepMotions) -> bool:
     twists = sums[ends] - sums[begins]
     distance, turn = np.hypot(*twists[:, :2].T).sum(), np.abs(twists[:, 2]).sum()
     return bool(distance >= MIN_TRAVEL[0] and turn >= MIN_TRAVEL[1])
-
-
-def _sample(e: Evidence) -> BeamSamples | None:
-    """Return scans evenly spread over the longest piece of one layout."""
-    lengths = [len(piece) for piece in e.recording.scans]
-    if max(lengths, default=0) < 10:
-        return None
-    longest = int(np.argmax(lengths))
-    piece, start = e.recording.scans[longest], sum(lengths[:longest])
-    rows = np.unique(np.linspace(0, len(piece) - 1, min(MAX_SCANS, len(piece))).astype(np.int64))
-    piece, headings = piece.take(rows), e.path.poses[start + rows, 2]
-    scans = unmounted(e.lidar).sweeps(piece, np.zeros((len(rows), 3)))
-    return BeamSamples(piece["ranges"], scans.valid, piece["angles"], headings)
-
-
-def _no_return(e: Evidence, sample: BeamSamples) -> list[Finding]:
-    values, counts = np.unique(sample.ranges[sample.valid], return_counts=True)
-    if len(values) < 2:
-        return []
-    k = int(np.argmax(counts))
-    beside = np.delete(
-        counts[max(k - PEAK_NEIGHBOURS, 0) : k + PEAK_NEIGHBOURS + 1], min(k, PEAK_NEIGHBOURS)
-    )
-    value, share = float(values[k]), counts[k] / counts.sum()
-    in_scans = float((sample.valid & (sample.ranges == value)).any(axis=1).mean())
-    if (
-        share < MIN_BEAM_SHARE
-        or in_scans < MIN_SCAN_SHARE
-        or counts[k] <= MIN_PEAK_RATIO * beside.max()
-    ):
-        return []
-    what = f"{100 * share:.1f} % of the valid ranges are exactly {value:.6g} m: it means no return"
-    return [Finding("value for no return", what, (_limit(e, values, value),))]
-
-
-def _limit(e: Evidence, values: Array, value: float) -> str:
-    """Return the limit that excludes a value, and as few others as possible."""
-    if np.mean(values < value) >= 0.5:
-        return f"{e.lidar_key}.range_max={math.floor(value * 1000.0 - 1.0) / 1000.0:.3f}"
-    return f"{e.lidar_key}.range_min={math.ceil(value * 1000.0 + 1.0) / 1000.0:.3f}"
 
 
 def _body(e: Evidence, sample: BeamSamples) -> list[Finding]:

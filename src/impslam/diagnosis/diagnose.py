@@ -14,6 +14,7 @@ from impslam.diagnosis.finding import Finding, worst_health
 from impslam.diagnosis.handedness import check_handedness
 from impslam.diagnosis.head import Head
 from impslam.diagnosis.mount import check_mount
+from impslam.diagnosis.no_return import check_noise, check_value
 from impslam.diagnosis.odometry import check_odometry
 from impslam.diagnosis.presets import check_preset
 from impslam.diagnosis.scales import check_scales
@@ -32,11 +33,11 @@ FIRST_SCANS = 600
 MIN_SCANS = 50
 """Fewer scans do not contain enough motion, and matching them takes longer than such a run."""
 
-ROOT_CHECKS = (check_overlap, check_wrap, check_preset)
+ROOT_CHECKS = (check_noise, check_overlap, check_wrap, check_preset)
 """The faults that these find would cause findings of the other checks."""
 CHECKS = (
     check_handedness, check_direction, check_stamps, check_odometry, check_scales, check_mount,
-    check_beams,
+    check_value, check_beams,
 )  # fmt: skip
 
 

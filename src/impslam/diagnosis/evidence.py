@@ -13,6 +13,7 @@ from impslam.calibration.recording import CalibrationRows, first_lidar
 from impslam.columns import Columns
 from impslam.config import Config
 from impslam.diagnosis.agreement import MIN_STRETCHES, Agreement, Axis, drive_axis, fit_agreement
+from impslam.diagnosis.beam_samples import BeamSamples, beam_samples
 from impslam.diagnosis.file_order import in_file_order
 from impslam.diagnosis.timing import Timing, estimate_timing, no_timing
 from impslam.diagnosis.travel import Odometer, SweepMotions, make_odometer, stretches, sweep_motions
@@ -33,6 +34,7 @@ class Evidence:
     config, name, lidar, odometry : the config, its first lidar with its name, its odometry
     recording : the rows of the log; with times by their order if it is `untimed`
     path : the lidar's path by its scans alone
+    samples : scans to check beams with; None if there are too few
     sweep_motions : the motions along it, with stamps as received
     timing : when scans were taken
     times : (k, 2) s, begin and end of stretches on the odometry's clock, where both are known
@@ -49,6 +51,7 @@ class Evidence:
     odometry: Odometry
     recording: CalibrationRows
     path: LidarPath
+    samples: BeamSamples | None
     sweep_motions: SweepMotions
     timing: Timing
     times: Array
@@ -76,8 +79,9 @@ class Evidence:
 
     @property
     def odometry_moves(self) -> bool:
-        """Whether odometry reports any motion over the stretches."""
-        return bool((np.abs(self.odometry_motion[:, [0, 2]]) > 1e-6).any())
+        """Whether odometry reports any motion over the stretches, apart from noise."""
+        moves = bool((np.abs(self.odometry_motion[:, [0, 2]]) > 1e-6).any())
+        return moves and not (self.agreement is not None and self.agreement.is_noise)
 
     @property
     def is_mount_given(self) -> bool:
@@ -92,6 +96,7 @@ def gather_evidence(config: Config, recording: CalibrationRows) -> Evidence:
     if recording.untimed:
         recording = in_file_order(recording)
     path = lidar_path(lidar, recording.scans)
+    samples = beam_samples(lidar, recording.scans, path)
     sweeps = sweep_motions(path)
     odometer = make_odometer(
         robot.odometry, recording.odometry if robot.odometry.measures_motion else ()
@@ -113,7 +118,7 @@ def gather_evidence(config: Config, recording: CalibrationRows) -> Evidence:
             axle_motion = motion_along(lidar_motion, axis.angle)
             agreement = fit_agreement(axle_motion, odometry_motion)
     return Evidence(
-        config, name, lidar, robot.odometry, recording, path, sweeps, timing, times,
+        config, name, lidar, robot.odometry, recording, path, samples, sweeps, timing, times,
         lidar_motion, odometry_motion, axis, axle_motion, agreement, _total(odometer),
     )  # fmt: skip
 

@@ -36,9 +36,9 @@ def check_handedness(e: Evidence) -> list[Finding]:
         return []
     if finding := _one_wheel(e):
         return [finding]
-    if not e.agreement.turn.is_negative(1):
+    if not e.agreement.opposes_turn:
         return []
-    return _all_opposite(e) if e.agreement.distance.is_negative(0) else _opposite_turns(e)
+    return _all_opposite(e) if e.agreement.opposes_distance else _opposite_turns(e)
 
 
 def _one_wheel(e: Evidence) -> Finding | None:

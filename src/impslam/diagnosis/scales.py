@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
+import numpy as np
+
 from impslam.diagnosis.agreement import Agreement, fit_agreement
 from impslam.diagnosis.evidence import Evidence
 from impslam.diagnosis.finding import SIGMAS, Finding, is_off, probability_off
@@ -20,6 +22,8 @@ MATCHING_FACTOR = 3.0
 """Tolerated error of odometry, in multiples of its noise, if scans are matched: it is then only a guess."""
 MAX_WHEEL_SCALE = 3.0
 """Distance scale beyond which not the wheel's radius is wrong, but the unit of the readings."""
+MIN_SIGMA = 1e-9
+"""Lower bound of the standard deviation of a scale: if odometry hardly moves, its errors are as small."""
 RANGES, HALF = "ranges scale", 0.5
 """A kind that wrong lengths of odometry explain equally well, and its probability."""
 NO_FIX = "no setting fixes it"
@@ -89,11 +93,11 @@ def _attribute_error(e: Evidence, agreed: Agreement) -> tuple[str, tuple[str, ..
     """
     distance, turn = agreed.distance, agreed.turn
     a, d = float(distance.p[0]), float(turn.p[1])
-    both = math.hypot(distance.sigma[0], turn.sigma[1])
+    sigma_a, sigma_d = np.fmax((distance.sigma[0], turn.sigma[1]), MIN_SIGMA).tolist()
     misfits = {
-        "track": abs(a - 1.0) / distance.sigma[0],
-        "wheel radius": abs(a - d) / both,
-        RANGES: abs(d - 1.0) / turn.sigma[1],
+        "track": abs(a - 1.0) / sigma_a,
+        "wheel radius": abs(a - d) / math.hypot(sigma_a, sigma_d),
+        RANGES: abs(d - 1.0) / sigma_d,
     }
     kind = min(misfits, key=misfits.__getitem__)
     ranges = f"{e.lidar_key}.range_scale={e.lidar.range_scale * a:.4f}"

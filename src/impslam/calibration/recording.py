@@ -39,6 +39,12 @@ class CalibrationRows:
     untimed: bool = False
 
 
+def lidars_of(config: Config) -> dict[str, Lidar2D]:
+    """Return the config's lidars by name."""
+    sensors = config.make_robot().sensors.items()
+    return {name: sensor for name, sensor in sensors if isinstance(sensor, Lidar2D)}
+
+
 def first_lidar(config: Config) -> tuple[str, Lidar2D]:
     """Return the name of the config's first lidar, and the lidar.
 
@@ -47,9 +53,8 @@ def first_lidar(config: Config) -> tuple[str, Lidar2D]:
     ConfigError
         If there is none.
     """
-    for name, sensor in config.make_robot().sensors.items():
-        if isinstance(sensor, Lidar2D):
-            return name, sensor
+    for name, lidar in lidars_of(config).items():
+        return name, lidar
     raise ConfigError(
         "sensors: no lidar2d to compare odometry with; add one with --set sensors.lidar.kind=lidar2d"
     )
@@ -62,20 +67,24 @@ def record(
     with source:
         streams = _streams(config)
         streams.choose(source.defaults())
-        return _record(streams, _with_progress(source.batches(), progress))
+        batches = _with_progress(source.batches(), progress)
+        return _record(streams, first_lidar(config)[0], batches)
 
 
 def record_batches(
-    config: Config, batches: Iterable[Batch], defaults: Mapping[type[Message], str] | None = None
+    config: Config,
+    batches: Iterable[Batch],
+    defaults: Mapping[type[Message], str] | None = None,
+    lidar: str = "",
 ) -> CalibrationRows:
-    """Return the rows of the config's odometry and first lidar, and of any inertial unit.
+    """Return the rows of the config's odometry and one lidar, and of any inertial unit.
 
     Clock steps are corrected as in a run, so that all stamps are on one time line. `defaults` are the
-    streams to read if the config names none; see `Source.defaults`.
+    streams to read if the config names none; see `Source.defaults`. `lidar` is a name; "" for the first.
     """
     streams = _streams(config)
     streams.choose(defaults or {})
-    return _record(streams, batches)
+    return _record(streams, lidar or first_lidar(config)[0], batches)
 
 
 def _with_progress(batches: Iterable[Batch], progress: Callable[[], object]) -> Iterable[Batch]:
@@ -85,23 +94,27 @@ def _with_progress(batches: Iterable[Batch], progress: Callable[[], object]) -> 
 
 
 def _streams(config: Config) -> Streams:
-    odometry, (name, lidar) = config.make_robot().odometry, first_lidar(config)
+    odometry = config.make_robot().odometry
     return Streams(
         Reader("odometry", odometry.consumes, odometry.stream),
-        {name: Reader(f"sensors.{name}", LaserScan, lidar.stream)},
+        {
+            name: Reader(f"sensors.{name}", LaserScan, lidar.stream)
+            for name, lidar in lidars_of(config).items()
+        },
     )
 
 
-def _record(streams: Streams, batches: Iterable[Batch]) -> CalibrationRows:
+def _record(streams: Streams, name: str, batches: Iterable[Batch]) -> CalibrationRows:
     clocks, kept, by_order = StreamClocks(), dict[str, list[Columns]](), Counter[str]()
     for batch in batches:
+        used, read = streams.used(batch), (streams.odometry, streams.sensors[name])
         rows = [c for c in batch.values() if c.kind in (Imu, TruePose) and len(c)]
-        rows += [c for c in streams.used(batch) if c not in rows]
+        rows += [c for c in used if c not in rows and c.stream in {one.stream for one in read}]
         found, _ = clocks.place(rows, streams.odometry.stream)
         for columns, placed in zip(rows, found, strict=True):
             by_order[columns.stream] += int(placed.by_order.sum())
             kept.setdefault(columns.stream, []).append(columns.with_stamps(placed.times))
-    (lidar,) = streams.sensors.values()
+    lidar = streams.sensors[name]
     every = [columns for pieces in kept.values() for columns in pieces]
     names = {streams.odometry.stream, lidar.stream} & kept.keys()
     untimed = any(by_order[n] > MAX_UNTIMED * sum(map(len, kept[n])) for n in names)

@@ -12,9 +12,8 @@ import numpy as np
 from impslam.columns import Motions, Sweeps, messages
 from impslam.component import find
 from impslam.config import Config
-from impslam.diagnosis.diagnose import SCANS, diagnose
+from impslam.diagnosis.diagnose import SCANS, diagnose, head_of
 from impslam.diagnosis.finding import Finding
-from impslam.diagnosis.head import Head
 from impslam.odometry.stream_clocks import UNUSABLE
 from impslam.sensors.lidar2d import Lidar2D
 from impslam.sources.base import Problems, Source
@@ -132,7 +131,7 @@ class Survey:
 
     def __init__(self, config: Config) -> None:
         self._config, self._robot = config, config.make_robot()
-        self.unused, self._head = self._robot.problems, Head(SCANS)
+        self.unused, self._head = self._robot.problems, head_of(config, SCANS)
         self.findings: list[Finding] = []
         self.clocks: dict[str, StampStatistics] = {}
         self.beams = ScanGeometry()

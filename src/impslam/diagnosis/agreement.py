@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from impslam.diagnosis.robust import RobustFit, biweight, fit, robust_sigma, sandwich
+from impslam.diagnosis.robust import CLEAR, RobustFit, biweight, fit, robust_sigma, sandwich
 from impslam.types import Array
 
 MIN_STRETCHES = 12
@@ -89,6 +89,12 @@ class Agreement(NamedTuple):
     def opposes_turn(self) -> bool:
         """Whether turns have opposite signs."""
         return self.turn.is_negative(1) and self.turn.p[1] < -MIN_SCALE
+
+    @property
+    def is_alike(self) -> bool:
+        """Whether distances and turns clearly have the same signs."""
+        scales = (self.distance.p[0], self.distance.sigma[0]), (self.turn.p[1], self.turn.sigma[1])
+        return all(scale > max(CLEAR * sigma, MIN_SCALE) for scale, sigma in scales)
 
     @property
     def is_reversed(self) -> bool:

@@ -83,7 +83,7 @@ def _dead(e: Evidence, sample: BeamSamples) -> list[Finding]:
         return []
     first, last = np.degrees(sample.angles[[seen[k] + 1, seen[k + 1] - 1]])
     what = f"no beam between {first:.0f} and {last:.0f} deg ever returns: something covers the lidar there"
-    return [Finding("dead sector", what, harmful=False)]
+    return [Finding("dead sector", what, harmful=False, lidar=e.name)]
 
 
 def _own_body(e: Evidence, sample: BeamSamples, hits: Ints, farthest: float) -> Finding:
@@ -94,5 +94,9 @@ def _own_body(e: Evidence, sample: BeamSamples, hits: Ints, farthest: float) -> 
     )
     limit = math.ceil(100.0 * (farthest + BODY_SPREAD[0] + BODY_SPREAD[1] * farthest)) / 100.0
     return Finding(
-        "own body in view", what, (f"{e.lidar_key}.range_min={limit:.2f}",), MAX_PROBABILITY
+        "own body in view",
+        what,
+        (f"{e.lidar_key}.range_min={limit:.2f}",),
+        MAX_PROBABILITY,
+        lidar=e.name,
     )

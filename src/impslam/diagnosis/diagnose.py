@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import TypeAlias
 
-from impslam.calibration.recording import first_lidar, record_batches
+from impslam.calibration.recording import lidars_of, record_batches
 from impslam.columns import Batch
 from impslam.config import Config
 from impslam.diagnosis.beams import check_beams
 from impslam.diagnosis.direction import check_direction
-from impslam.diagnosis.evidence import Evidence, gather_evidence
+from impslam.diagnosis.evidence import Evidence, confirmed, gather_evidence
 from impslam.diagnosis.finding import Finding, worst_health
 from impslam.diagnosis.handedness import check_handedness
 from impslam.diagnosis.head import Head
@@ -21,20 +22,21 @@ from impslam.diagnosis.scales import check_scales
 from impslam.diagnosis.stamps import check_overlap, check_stamps
 from impslam.diagnosis.wheels import check_wrap
 from impslam.health import Standing
-from impslam.sensors.lidar2d import Lidar2D
 from impslam.sources.base import Source
 from impslam.types import Message
 
+Check: TypeAlias = Callable[[Evidence], Iterable[Finding]]
+
 SCANS = 4000
-"""Scans at the beginning of a log that are diagnosed: a few minutes of driving, seconds of computing."""
+"""Scans of each lidar that are diagnosed: a few minutes of driving, seconds of computing."""
 FIRST_SCANS = 600
 """The same before a run: a minute or two of driving, tenths of a second of computing."""
 
 MIN_SCANS = 50
 """Fewer scans do not contain enough motion, and matching them takes longer than such a run."""
 
-ROOT_CHECKS = (check_noise, check_overlap, check_wrap, check_preset)
-"""The faults that these find would cause findings of the other checks."""
+LIDAR_ROOTS, ODOMETRY_ROOTS = (check_noise, check_overlap), (check_wrap, check_preset)
+"""The faults of a lidar, and of odometry, that these find would cause findings of the other checks."""
 CHECKS = (
     check_handedness, check_direction, check_stamps, check_odometry, check_scales, check_mount,
     check_value, check_beams,
@@ -45,32 +47,77 @@ def diagnose(
     config: Config,
     batches: Iterable[Batch],
     defaults: Mapping[type[Message], str],
-    checks: Sequence[Callable[[Evidence], Iterable[Finding]]] = CHECKS,
+    *,
+    is_quick: bool = False,
 ) -> list[Finding]:
     """Return the differences between the data of a log and its config, harmful ones first.
 
-    `defaults` are the streams to read if the config names none; see `Source.defaults`.
+    `defaults` are the streams to read if the config names none; see `Source.defaults`. Each lidar is
+    compared with odometry; a quick diagnosis leaves out the slowest check where it is hardly needed.
     """
-    if not _has_lidar(config):
-        return []
-    evidence = gather_evidence(config, record_batches(config, batches, defaults))
-    for check in ROOT_CHECKS:
-        if roots := list(check(evidence)):
-            return roots
-    findings = [finding for check in checks for finding in check(evidence)]
+    names = list(lidars_of(config))
+    if len(names) > 1:
+        batches = list(batches)  # which are read several times
+    every = confirmed(
+        [
+            gather_evidence(config, name, record_batches(config, batches, defaults, name))
+            for name in names
+        ]
+    )
+    findings = _check_all(every, is_quick)
+    if len(every) > 1:
+        findings = [finding.with_lidar() for finding in findings]
     return sorted(findings, key=lambda finding: not finding.harmful)
+
+
+def _check_all(every: Sequence[Evidence], is_quick: bool) -> list[Finding]:
+    """Return the findings about each lidar, and those about odometry by one of them."""
+    findings, sound = list[Finding](), list[Evidence]()
+    for e in every:
+        roots = _first_roots(LIDAR_ROOTS, e)
+        findings += roots
+        sound += [] if roots else [e]
+    if not sound:
+        return findings
+    reference = next((e for e in sound if e.agreement is not None), sound[0])
+    if roots := _first_roots(ODOMETRY_ROOTS, reference):
+        return findings + roots
+    for e in sound:
+        found = [finding for check in _checks(e, is_quick) for finding in check(e)]
+        findings += [finding for finding in found if finding.lidar or e is reference]
+    return findings
+
+
+def _first_roots(checks: Sequence[Check], e: Evidence) -> list[Finding]:
+    """Return the findings of the first check that has any."""
+    return next((roots for check in checks if (roots := list(check(e)))), [])
+
+
+def _checks(e: Evidence, is_quick: bool) -> Sequence[Check]:
+    """Return the checks of a lidar; the order of its beams takes half a second to check.
+
+    A config that states the duration of a sweep was made for the driver that recorded the log.
+    """
+    is_known = is_quick and e.lidar.period != 0.0
+    return [check for check in CHECKS if check is not check_direction] if is_known else CHECKS
+
+
+def head_of(config: Config, scans: int) -> Head:
+    """Return an empty head for this number of scans of each lidar."""
+    return Head(scans * max(len(lidars_of(config)), 1))
 
 
 def first_look(config: Config, source: Source) -> list[Finding]:
     """Return the harmful findings in the beginning of a log; the source must be open."""
-    if not _has_lidar(config):
+    lidars = len(lidars_of(config))
+    if not lidars:
         return []
-    head = Head(FIRST_SCANS)
+    head = head_of(config, FIRST_SCANS)
     for _ in head.read(source.batches()):
         pass
-    if head.scans < MIN_SCANS:
+    if head.scans < MIN_SCANS * lidars:
         return []
-    found = diagnose(config, head.batches, source.defaults(), _quick_checks(config))
+    found = diagnose(config, head.batches, source.defaults(), is_quick=True)
     return [one for one in found if one.harmful]
 
 
@@ -83,17 +130,3 @@ def first_health(config: Config, source: Source) -> Standing:
 def unread_copy(source: Source) -> Source:
     """Return another source of the same log with the same settings, still at its beginning."""
     return type(source)(**{name: getattr(source, name) for name in type(source).model_fields})
-
-
-def _quick_checks(config: Config) -> Sequence[Callable[[Evidence], Iterable[Finding]]]:
-    """Return the checks before a run.
-
-    The order of the beams takes half a second to check. A config that states the duration of a sweep was
-    made for the driver that recorded the log.
-    """
-    _, lidar = first_lidar(config)
-    return CHECKS if lidar.period == 0.0 else [c for c in CHECKS if c is not check_direction]
-
-
-def _has_lidar(config: Config) -> bool:
-    return any(isinstance(sensor, Lidar2D) for sensor in config.make_robot().sensors.values())

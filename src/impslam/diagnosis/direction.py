@@ -114,4 +114,5 @@ def _reversed(e: Evidence, pairs: int, gain: float, sigma: float) -> Finding:
         f"different turn rates fit each other {math.exp(gain):.1f} times as well",
         (f"{e.lidar_key}.last_beam_first={str(not e.lidar.last_beam_first).lower()}",),
         probability_off(gain, sigma, 0.0),
+        lidar=e.name,
     )

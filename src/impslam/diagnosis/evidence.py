@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from impslam.calibration.lidar_path import LidarPath, lidar_path
-from impslam.calibration.recording import CalibrationRows, first_lidar
+from impslam.calibration.recording import CalibrationRows, lidars_of
 from impslam.columns import Columns
 from impslam.config import Config
 from impslam.diagnosis.agreement import MIN_STRETCHES, Agreement, Axis, drive_axis, fit_agreement
@@ -31,7 +31,7 @@ class Evidence:
 
     Attributes
     ----------
-    config, name, lidar, odometry : the config, its first lidar with its name, its odometry
+    config, name, lidar, odometry : the config, one of its lidars with its name, its odometry
     recording : the rows of the log; with times by their order if it is `untimed`
     path : the lidar's path by its scans alone
     samples : scans to check beams with; None if there are too few
@@ -43,6 +43,8 @@ class Evidence:
     axle_motion : (k, 2) m, rad: motion of the axle by the laser, in the sense of `axis`
     agreement : fit of odometry to that; None if there is no axis
     odometry_total : m + rad, all motion by odometry, also where the laser's is unknown
+    is_alone : whether the robot has no other lidar
+    is_odometry_confirmed : whether odometry drives and turns as another lidar does
     """
 
     config: Config
@@ -61,6 +63,8 @@ class Evidence:
     axle_motion: Array
     agreement: Agreement | None
     odometry_total: float
+    is_alone: bool
+    is_odometry_confirmed: bool = False
 
     @property
     def untimed(self) -> bool:
@@ -89,10 +93,10 @@ class Evidence:
         return "mount" in self.config.sensors[self.name]
 
 
-def gather_evidence(config: Config, recording: CalibrationRows) -> Evidence:
-    """Compare the lidar's motions in a recording with odometry; the config must have a lidar."""
-    robot = config.make_robot()
-    name, lidar = first_lidar(config)
+def gather_evidence(config: Config, name: str, recording: CalibrationRows) -> Evidence:
+    """Compare the motions of the lidar with this name in a recording with odometry."""
+    robot, lidars = config.make_robot(), lidars_of(config)
+    lidar = lidars[name]
     if recording.untimed:
         recording = in_file_order(recording)
     path = lidar_path(lidar, recording.scans)
@@ -120,7 +124,17 @@ def gather_evidence(config: Config, recording: CalibrationRows) -> Evidence:
     return Evidence(
         config, name, lidar, robot.odometry, recording, path, samples, sweeps, timing, times,
         lidar_motion, odometry_motion, axis, axle_motion, agreement, _total(odometer),
+        len(lidars) == 1,
     )  # fmt: skip
+
+
+def confirmed(every: Sequence[Evidence]) -> list[Evidence]:
+    """Return the evidence of all lidars, each with whether another one confirms odometry."""
+    alike = [e.agreement is not None and e.agreement.is_alike for e in every]
+    return [
+        replace(e, is_odometry_confirmed=any(alike[:k] + alike[k + 1 :]))
+        for k, e in enumerate(every)
+    ]
 
 
 def _total(odometer: Odometer) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from impslam.health import SOUND, Standing
 
@@ -29,6 +29,7 @@ class Finding:
     advice : what to do if no setting fixes it, or another possible cause
     harmful : whether it makes a run worse; otherwise the finding is for information
     health : why no pose of such a run can be trusted, with the amount
+    lidar : name of the lidar that it is about; "" for the odometry, or the robot as a whole
     """
 
     kind: str
@@ -38,6 +39,11 @@ class Finding:
     advice: str = ""
     harmful: bool = True
     health: Standing = SOUND
+    lidar: str = ""
+
+    def with_lidar(self) -> Finding:
+        """Return the finding with the name of its lidar, for robots with several."""
+        return replace(self, what=f"{self.lidar}: {self.what}") if self.lidar else self
 
     def __str__(self) -> str:
         """Return the finding as one line."""

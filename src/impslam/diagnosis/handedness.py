@@ -63,13 +63,14 @@ def _one_wheel(e: Evidence) -> Finding | None:
 
 def _opposite_turns(e: Evidence) -> list[Finding]:
     what = "scans and odometry turn opposite ways"
-    vote = _gyro_vote(e)
+    vote = 1 if e.is_odometry_confirmed else _gyro_vote(e)
     mirrored = Finding(
         "scan mirrored",
         f"{what}: the scan is mirrored, or the laser is mounted upside down",
         _unmirror_settings(e),
         MAX_PROBABILITY if vote > 0 else HALF,
         "" if vote > 0 else f"or {_exchange_words(e)}; a gyro would decide",
+        lidar=e.name,
         health=OPPOSED_RUN,
     )
     exchanged = Finding(
@@ -90,9 +91,9 @@ def _exchange_words(e: Evidence) -> str:
 def _all_opposite(e: Evidence) -> list[Finding]:
     what = "scans and odometry drive and turn opposite ways"
     inverted = _unmirror_settings(e, turned=True)
-    if not isinstance(e.odometry, Encoders):
+    if not isinstance(e.odometry, Encoders) or e.is_odometry_confirmed:
         words = f"{what}: the laser is upside down and faces backward"
-        return [Finding("scan mirrored", words, inverted, health=OPPOSED_RUN)]
+        return [Finding("scan mirrored", words, inverted, lidar=e.name, health=OPPOSED_RUN)]
     other = " ".join(f"--set '{one}'" for one in inverted)
     return [
         Finding(

@@ -52,6 +52,7 @@ def _turned(e: Evidence, yaw: float, off: float, sigma: float) -> Finding:
         probability_off(off, sigma, YAW_TOLERANCE),
         advice,
         health=Standing(MISALIGNED, abs(math.degrees(off))),
+        lidar=e.name,
     )
 
 
@@ -79,5 +80,6 @@ def _displaced(e: Evidence) -> list[Finding]:
             (f"{e.lidar_key}.mount=[{ahead:.3f},{y:.3f},{yaw:.3f}]",),
             probability_off(ahead - x, sigma, allowed),
             harmful=e.is_mount_given,
+            lidar=e.name,
         )
     ]

@@ -49,7 +49,7 @@ def check_noise(e: Evidence) -> list[Finding]:
         f"{sample.limit:.4g} m, and as many beyond: this is its noise, and means no return"
     )
     limit = math.floor((sample.limit - MARGIN * width) * 1000.0) / 1000.0
-    return [Finding(KIND, what, (f"{e.lidar_key}.range_max={limit:.3f}",))]
+    return [Finding(KIND, what, (f"{e.lidar_key}.range_max={limit:.3f}",), lidar=e.name)]
 
 
 def _width(distances: Array, limit: float) -> float:
@@ -84,7 +84,7 @@ def check_value(e: Evidence) -> list[Finding]:
         return []
     share = 100.0 * counts[k] / counts.sum()
     what = f"{share:.1f} % of the valid ranges are exactly {value:.6g} m: it means no return"
-    return [Finding(KIND, what, (_limit(e, values, value),))]
+    return [Finding(KIND, what, (_limit(e, values, value),), lidar=e.name)]
 
 
 def _is_frequent(these: Mask, sample: BeamSamples) -> bool:

@@ -70,6 +70,7 @@ def _scales(e: Evidence, agreed: Agreement) -> Iterator[Finding]:
         advice,
         any(abs(off) > factor * limit for off, _, limit in tests),
         Standing(MISSCALED, max(abs(off) for off, *_ in tests)),
+        e.name if kind == RANGES else "",
     )
 
 

@@ -28,6 +28,7 @@ def check_overlap(e: Evidence) -> Iterator[Finding]:
             f"a sweep takes {sweep:.3f} s by its beams' times, but scans come every {period:.3f} s",
             (f"{e.lidar_key}.deskew=false",),
             advice="time_increment in the log is wrong",
+            lidar=e.name,
         )
 
 
@@ -59,8 +60,9 @@ def _jitter(e: Evidence) -> Finding:
         f"scans are stamped {1000.0 * e.timing.jitter:.0f} ms (rms) early or late: with a steady period of "
         f"{period:.4g} s, turns fit odometry {raw.rms / smooth.rms:.1f} times as well",
         (f"{e.lidar_key}.period={period:.4g}", f"{e.lidar_key}.latency={smooth.seconds:.3f}"),
-        harmful=not e.matches_scans,
+        harmful=not _tolerates_times(e),
         health=Standing(MISTIMED, e.timing.jitter),
+        lidar=e.name,
     )
 
 
@@ -76,6 +78,12 @@ def _late(e: Evidence) -> Finding:
         f"{'late' if late.seconds > 0.0 else 'early'} on the clock of odometry{configured}",
         (f"{e.lidar_key}.latency={late.seconds:.3f}",),
         probability_off(off, late.sigma, MAX_LAG_ERROR),
-        harmful=not e.matches_scans or is_off(off, late.sigma, QUEUE_LAG),
+        harmful=not _tolerates_times(e) or is_off(off, late.sigma, QUEUE_LAG),
         health=Standing(MISTIMED, abs(off)),
+        lidar=e.name,
     )
+
+
+def _tolerates_times(e: Evidence) -> bool:
+    """Return whether a run follows the scans, and no other lidar's, at whatever times they were taken."""
+    return e.matches_scans and e.is_alone

@@ -1,6 +1,8 @@
 """A robot with a lidar ahead and one turned round behind, from its log to the map."""
 
+import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -141,3 +143,32 @@ def test_inspect_says_what_is_not_read(log, tmp_path, capsys, monkeypatch):
     assert "not read: scan is /scan/front" in alone
     assert main(["inspect", str(log), "-c", str(config(tmp_path)), "--quiet"]) == 0
     assert "not read" not in capsys.readouterr().out
+
+
+def cut(scan, beams):
+    """Return a scan with its first beams only."""
+    few = {name: getattr(scan, name)[:beams] for name in ("angles", "ranges", "time_offsets")}
+    return replace(scan, intensities=None, **few)
+
+
+def test_inspect_tells_the_lidars_apart(rows, tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "200")
+    rear = [cut(message, 8) for message, below in rows if below == "/rear"][:33]
+    front = [(message, below) for message, below in rows if below != "/rear"]
+    scans = sum(isinstance(message, LaserScan) for message, _ in front)
+    with McapWriter(tmp_path / "log.mcap") as writer:
+        for message, below in [*front, *((scan, "/rear") for scan in rear)]:
+            writer.write(message, below=below)
+    words = ["inspect", str(tmp_path / "log.mcap"), "-c", str(config(tmp_path)), "--quiet"]
+    assert main(words) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert f"LaserScan /scan/front {scans} 10.0" in said
+    assert "LaserScan /scan/rear 33 10.0" in said
+    assert "front: beams 256" in said
+    assert "rear: beams 8 " in said
+    assert "33 of 33 scans have some, but fewer than 10 valid ranges" in said
+    assert "sensors.rear.range_min" in said
+    assert "sensors.front.range_min" not in said
+    assert main([*words, "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)["lidars"]
+    assert {name: lidar["beams"] for name, lidar in told.items()} == {"front": [256], "rear": [8]}

@@ -12,7 +12,8 @@ from impslam.cli.console import Columns, Common, ConfigName, Flag, Settings, Top
 from impslam.cli.progress import display, with_progress
 
 if TYPE_CHECKING:
-    from impslam.cli.survey import ScanGeometry, Survey
+    from impslam.cli.log_statistics import ScanGeometry
+    from impslam.cli.survey import Survey
     from impslam.config import Config
     from impslam.diagnosis.finding import Finding
     from impslam.sources.base import Problems, Stream
@@ -59,7 +60,7 @@ def inspect(
     _show_streams(streams, survey.reads)
     console.echo(f"reads: {choices(chosen, source)}")
     _show_clocks(survey)
-    facts = _scan_facts(survey.beams) | _motion_facts(survey, chosen) | _ambient_facts(ambient)
+    facts = _facts_of_lidars(survey) | _motion_facts(survey, chosen) | _ambient_facts(ambient)
     console.show_facts(facts)
     _show_problems(source.problems, survey.unused, survey.problems, findings=survey.findings)
 
@@ -99,9 +100,18 @@ def _show_clocks(survey: Survey) -> None:
         )
 
 
+def _facts_of_lidars(survey: Survey) -> dict[str, str]:
+    """Return the facts on the scans, with the name of their lidar if there are several."""
+    if len(survey.beams) < 2:
+        return next((_scan_facts(beams) for beams in survey.beams.values()), {"scans": "none"})
+    return {
+        f"{name}: {fact}": value
+        for name, beams in sorted(survey.beams.items())
+        for fact, value in _scan_facts(beams).items()
+    }
+
+
 def _scan_facts(beams: ScanGeometry) -> dict[str, str]:
-    if not beams.counts:
-        return {"scans": "none"}
     low, high = beams.limits
     counts = sorted(beams.counts)
     several = f" to {counts[-1]}" if len(counts) > 1 else ""

@@ -8,7 +8,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from impslam.cli.survey import ScanGeometry, StampStatistics, Survey
+from impslam.cli.log_statistics import ScanGeometry, StampStatistics
+from impslam.cli.survey import Survey
 from impslam.evaluation.json_values import json_values
 from impslam.sources.base import Problems, Source, Stream
 
@@ -24,13 +25,15 @@ def as_json(
     ambient: Mapping[str, tuple[float, float]],
 ) -> str:
     """Return the facts, problems and findings of a log as JSON; unknown values are null."""
+    scans = {name: _beams(beams) for name, beams in sorted(survey.beams.items())}
     facts = {
         "log": str(log),
         "format": source.name,
         "preset": preset,
         "streams": [{**asdict(stream), "used": stream.name in survey.reads} for stream in streams],
         "clocks": {name: _clock(clock) for name, clock in sorted(survey.clocks.items())},
-        "scans": _beams(survey.beams),
+        "scans": next(iter(scans.values()), None),
+        "lidars": scans,
         "odometry": {"way_m": survey.distance, "turns_rad": survey.rotation},
         "air": {f"{name}_{unit}": ambient.get(name) for name, unit in UNITS.items()},
         "problems": [
@@ -53,9 +56,7 @@ def _clock(clock: StampStatistics) -> dict[str, Any]:
     }
 
 
-def _beams(beams: ScanGeometry) -> dict[str, Any] | None:
-    if not beams.counts:
-        return None
+def _beams(beams: ScanGeometry) -> dict[str, Any]:
     return {
         "beams": sorted(beams.counts),
         "field_of_view_rad": beams.field_of_view,

@@ -11,6 +11,7 @@ import numpy as np
 
 from impslam.columns import single_row
 from impslam.geometry.se2 import compose, exp, inverse, log
+from impslam.holding import MAX_ROWS
 from impslam.odometry.clocks import Clocks
 from impslam.odometry.stream import OdometryStream
 from impslam.odometry.synchroniser import MAX_WAIT, MIN_DURATION
@@ -77,6 +78,8 @@ class Row:
     moment: float
     order: int
     by_order: bool
+    due: float  # when it is in the queue
+    queued: int = -1  # and at which row of the log
     motion: Increment | None = None
     twist: object = None
     T_middle_stamp: object = None
@@ -89,7 +92,7 @@ class Reference:
     def __init__(self, odometry, stream, sensors):
         self.stream, self.sensors, self.used = stream, sensors, []
         self.odometry, self.clocks, self.numbers = OdometryStream(odometry), Clocks(), {}
-        self.timeline, self.waiting = Timeline(), deque()
+        self.timeline, self.waiting, self.held, self.newest = Timeline(), deque(), [], -np.inf
 
     def feed(self, stream, message, order):
         (row,) = single_row(stream, message, order).values()
@@ -98,6 +101,7 @@ class Reference:
             reference = self.numbers.get(self.stream, -1)
             placed, _ = self.clocks.place(np.array([number]), row.stamps, reference)
             (shift,), (time,), (by_order,) = placed.shifts, placed.times, placed.by_order
+            self.newest = max(self.newest, time)
         if stream == self.stream:
             motions, _, _ = self.odometry.motions(row, placed)
             increment = motions.row(0)
@@ -110,8 +114,22 @@ class Reference:
             name, sensor = self.sensors[stream]
             (begin,), (end,) = sensor.spans(row)
             begin, end = (time, time) if by_order else (begin + shift, end + shift)
-            self.waiting.append(Row(name, row, begin, end, time, order, by_order))
+            largest = max(other.latency for _, other in self.sensors.values())
+            due = self.newest + (largest - sensor.latency)
+            if by_order:  # all before it leave, too
+                due = -np.inf
+                for other in self.held:
+                    other.due = -np.inf if other.sensor == name else other.due
+            self.held.append(Row(name, row, begin, end, time, order, by_order, due))
+        self.queue(order, self.newest)
         self.release(order)
+
+    def queue(self, order, now):
+        held, self.held = self.held, []
+        for row in held:
+            is_due = row.due <= now or row.order + MAX_ROWS <= order
+            row.queued = order
+            (self.waiting if is_due else self.held).append(row)
 
     def release(self, seen):
         timeline = self.timeline
@@ -119,7 +137,7 @@ class Reference:
             row = self.waiting[0]
             together = row.begin == row.end and row.moment == timeline.last
             known = timeline.newest >= max(row.end, row.moment)
-            late = seen - row.order >= MAX_WAIT
+            late = seen - row.queued >= MAX_WAIT
             if not (row.by_order or together or known or late):
                 return
             self.waiting.popleft()
@@ -144,4 +162,5 @@ class Reference:
         self.used.append(row)
 
     def flush(self):
+        self.queue(0, np.inf)
         self.release(np.inf)

@@ -151,6 +151,37 @@ def cut(scan, beams):
     return replace(scan, intensities=None, **few)
 
 
+@pytest.mark.parametrize("late", ["front", "rear"])
+def test_a_lidar_may_be_late(rows, tmp_path, late):
+    """Its scans come after those that the other one measured three times later."""
+    latency = 0.27
+    shifted = [
+        (replace(m, stamp=m.stamp + latency) if below == f"/{late}" else m, below)
+        for m, below in rows
+    ]
+    with McapWriter(tmp_path / "log.mcap") as writer:
+        for message, below in sorted(shifted, key=lambda row: row[0].stamp):
+            writer.write(message, below=below)
+    right, wrong = (
+        impslam.run(
+            tmp_path / "log.mcap", config(tmp_path), [f"sensors.{late}.latency={seconds}"]
+        ).path()
+        for seconds in (latency, 0.0)
+    )
+    truth = {m.stamp: m.pose for m, _ in rows if isinstance(m, TruePose)}
+    assert len(right) == sum(isinstance(m, LaserScan) for m, _ in rows)
+    assert worst(right, truth) < 1e-3
+    assert worst(wrong, truth) > 0.02
+
+
+def worst(path, truth):
+    """Return the largest distance in m from true poses by stamp, as long as there are any."""
+    stamps = np.array(sorted(truth))
+    path = path[path[:, 0] <= stamps[-1]]
+    nearest = stamps[np.abs(path[:, :1] - stamps).argmin(axis=1)]
+    return max(math.dist(row[1:3], truth[t][:2]) for row, t in zip(path, nearest, strict=True))
+
+
 def test_inspect_tells_the_lidars_apart(rows, tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "200")
     rear = [cut(message, 8) for message, below in rows if below == "/rear"][:33]

@@ -21,12 +21,13 @@ _TIMES = ("begins", "ends", "stamps")
 class PendingRows:
     """w rows of one sensor that wait for odometry.
 
-    Unusable rows wait like the others, so that all rows leave in the order of the log.
+    Unusable rows wait like the others, so that all rows leave in order.
 
     Attributes
     ----------
     name, sensor : the sensor and its name in the config
     columns : the rows
+    order : (w,) positions in the log at which they enter the queue, increasing
     begins, ends, stamps : (w,) s on the common time line of all streams
     usable : (w,) rows that can be used
     by_order : (w,) rows that get the odometry before them in the log, whatever the stamps
@@ -35,6 +36,7 @@ class PendingRows:
     name: str
     sensor: Sensor
     columns: Columns
+    order: Ints
     begins: Array
     ends: Array
     stamps: Array
@@ -46,6 +48,7 @@ class PendingRows:
         return replace(
             self,
             columns=self.columns.take(rows),
+            order=self.order[rows],
             begins=self.begins[rows],
             ends=self.ends[rows],
             stamps=self.stamps[rows],
@@ -79,13 +82,14 @@ class PendingQueue:
         lengths = np.array([len(part.columns) for part in parts], np.int64)
         columns = [
             np.repeat(np.arange(len(parts)), lengths),
-            _joined([part.columns.order for part in parts], np.int64),
+            _joined([part.order for part in parts], np.int64),
             *(_joined([getattr(part, name) for part in parts]) for name in _TIMES),
             _joined([part.usable for part in parts], np.bool_),
             _joined([part.by_order for part in parts], np.bool_),
         ]
         if len(parts) > 1:
-            order = np.argsort(columns[1])
+            arrived = _joined([part.columns.order for part in parts], np.int64)
+            order = np.lexsort((arrived, columns[1]))
             columns = [column[order] for column in columns]
         self._part, *pending = columns
         return PendingSweeps(*pending)

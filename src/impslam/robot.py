@@ -16,6 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from impslam.columns import Batch, Columns, Motions, Sweeps
+from impslam.holding import Holding
 from impslam.odometry.base import Odometry, diagonal
 from impslam.odometry.clocks import BY_ORDER, Placed
 from impslam.odometry.gyro import GyroFusion
@@ -26,7 +27,7 @@ from impslam.pending import PendingQueue, PendingRows
 from impslam.sensors.base import Sensor
 from impslam.sources.base import Problems
 from impslam.streams import Reader, Streams
-from impslam.types import Imu, Increment, Ints, Observation
+from impslam.types import Array, Imu, Increment, Ints, Observation
 
 TWIST_SIGMA = np.array([0.5, 0.5, 1.0])
 """m/s, m/s, rad/s, sigma of the motion within a sweep without odometry: half a walking pace."""
@@ -55,6 +56,7 @@ class Robot:
         self._gyro = GyroFusion(odometry.gyro, odometry.lever)
         self._odometry_stream, self._synchroniser = OdometryStream(odometry), Synchroniser()
         self._queue, self._clocks = PendingQueue(), StreamClocks()
+        self._holding = Holding({n: getattr(s, "latency", 0.0) for n, s in sensors.items()})
         self._shift = 0.0  # s, from the newest odometry stamp to its time
         # Position in the log, kind, example, count.
         self._faults: list[tuple[int, str, str, int]] = []
@@ -85,6 +87,8 @@ class Robot:
             for columns in used
             if columns.stream == reader.stream
         ]
+        if self._holding.is_needed:
+            rows = self._holding.release(rows, *_in_order(used, placed))
         order, motions = self._motions(odometry, placed)
         if gyro and gyro.stream:
             motions = self._corrected(order, motions, turns, placed)
@@ -97,7 +101,7 @@ class Robot:
         refused = self._gyro.rejection()
         if refused:
             self._faults.append((END, "gyro", refused, 1))
-        found = self._synchronise(*self._motions([], {}), [], END)
+        found = self._synchronise(*self._motions([], {}), self._holding.flush(), END)
         self._record_faults()
         return iter(found)
 
@@ -117,8 +121,8 @@ class Robot:
 
     @property
     def pending(self) -> int:
-        """Number of sweeps that wait for odometry."""
-        return len(self._queue)
+        """Number of sweeps that wait for odometry, or for those of a later sensor."""
+        return len(self._queue) + len(self._holding)
 
     @property
     def gyro_turns(self) -> bool:
@@ -173,7 +177,9 @@ class Robot:
             first = int(np.argmin(usable))
             example, count = sensor.fault(columns.row(first)), int(np.sum(~usable))
             self._faults.append((int(columns.order[first]), sensor.row_name, example, count))
-        return PendingRows(name, sensor, columns, begins, ends, placed.times, usable, by_order)
+        return PendingRows(
+            name, sensor, columns, columns.order, begins, ends, placed.times, usable, by_order
+        )
 
     def _synchronise(
         self, order: Ints, motions: Motions, rows: list[PendingRows], last: int
@@ -209,3 +215,11 @@ class Robot:
         for _, kind, example, count in sorted(self._faults):
             self.problems.add(kind, example, count)
         self._faults.clear()
+
+
+def _in_order(used: list[Columns], placed: Mapping[str, Placed]) -> tuple[Ints, Array]:
+    """Return the positions in the log (r,) of all rows, in order, and their times (r,) s."""
+    order = np.concatenate([np.empty(0, np.int64), *(columns.order for columns in used)])
+    times = np.concatenate([np.empty(0), *(placed[columns.stream].times for columns in used)])
+    rows = np.argsort(order)
+    return order[rows], times[rows]

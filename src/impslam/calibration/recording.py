@@ -13,6 +13,7 @@ from impslam.config import Config
 from impslam.errors import ConfigError
 from impslam.odometry.clocks import MAX_UNTIMED
 from impslam.odometry.stream_clocks import StreamClocks
+from impslam.robot import Robot
 from impslam.sensors.lidar2d import Lidar2D
 from impslam.sources.base import Source
 from impslam.streams import Reader, Streams
@@ -39,10 +40,9 @@ class CalibrationRows:
     untimed: bool = False
 
 
-def lidars_of(config: Config) -> dict[str, Lidar2D]:
-    """Return the config's lidars by name."""
-    sensors = config.make_robot().sensors.items()
-    return {name: sensor for name, sensor in sensors if isinstance(sensor, Lidar2D)}
+def lidars_of(robot: Robot) -> dict[str, Lidar2D]:
+    """Return the robot's lidars by name."""
+    return {name: one for name, one in robot.sensors.items() if isinstance(one, Lidar2D)}
 
 
 def first_lidar(config: Config) -> tuple[str, Lidar2D]:
@@ -53,7 +53,7 @@ def first_lidar(config: Config) -> tuple[str, Lidar2D]:
     ConfigError
         If there is none.
     """
-    for name, lidar in lidars_of(config).items():
+    for name, lidar in lidars_of(config.make_robot()).items():
         return name, lidar
     raise ConfigError(
         "sensors: no lidar2d to compare odometry with; add one with --set sensors.lidar.kind=lidar2d"
@@ -94,12 +94,12 @@ def _with_progress(batches: Iterable[Batch], progress: Callable[[], object]) -> 
 
 
 def _streams(config: Config) -> Streams:
-    odometry = config.make_robot().odometry
+    robot = config.make_robot()
     return Streams(
-        Reader("odometry", odometry.consumes, odometry.stream),
+        Reader("odometry", robot.odometry.consumes, robot.odometry.stream),
         {
             name: Reader(f"sensors.{name}", LaserScan, lidar.stream)
-            for name, lidar in lidars_of(config).items()
+            for name, lidar in lidars_of(robot).items()
         },
     )
 
@@ -107,9 +107,10 @@ def _streams(config: Config) -> Streams:
 def _record(streams: Streams, name: str, batches: Iterable[Batch]) -> CalibrationRows:
     clocks, kept, by_order = StreamClocks(), dict[str, list[Columns]](), Counter[str]()
     for batch in batches:
-        used, read = streams.used(batch), (streams.odometry, streams.sensors[name])
+        used = streams.used(batch)
+        read = {streams.odometry.stream, streams.sensors[name].stream}
         rows = [c for c in batch.values() if c.kind in (Imu, TruePose) and len(c)]
-        rows += [c for c in used if c not in rows and c.stream in {one.stream for one in read}]
+        rows += [c for c in used if c not in rows and c.stream in read]
         found, _ = clocks.place(rows, streams.odometry.stream)
         for columns, placed in zip(rows, found, strict=True):
             by_order[columns.stream] += int(placed.by_order.sum())

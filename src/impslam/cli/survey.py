@@ -6,14 +6,15 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 
+from impslam.calibration.recording import lidars_of
 from impslam.cli.log_statistics import MIN_BEAMS, ScanGeometry, StampStatistics
 from impslam.columns import Motions, Sweeps, log_order
 from impslam.component import find
 from impslam.config import Config
-from impslam.diagnosis.diagnose import SCANS, diagnose, head_of
+from impslam.diagnosis.diagnose import SCANS, diagnose
 from impslam.diagnosis.finding import Finding
+from impslam.diagnosis.head import Head
 from impslam.odometry.stream_clocks import UNUSABLE
-from impslam.sensors.lidar2d import Lidar2D
 from impslam.sources.base import Problems, Source
 from impslam.types import Array, LaserScan, Message
 
@@ -35,9 +36,9 @@ class Survey:
 
     def __init__(self, config: Config) -> None:
         self._config, self._robot = config, config.make_robot()
-        sensors = self._robot.sensors.items()
-        self._lidars = {name: one for name, one in sensors if isinstance(one, Lidar2D)}
-        self.unused, self._head = self._robot.problems, head_of(config, SCANS)
+        self._lidars = lidars_of(self._robot)
+        self.unused = self._robot.problems
+        self._head = Head(SCANS * max(len(self._lidars), 1))
         self.findings: list[Finding] = []
         self.clocks: dict[str, StampStatistics] = {}
         self.beams: dict[str, ScanGeometry] = {}

@@ -25,8 +25,6 @@ from impslam.types import Array
 
 MIN_STRETCHES = 12
 """Stretches that a fit needs: twice the rows that its robust scale can be wrong about."""
-
-
 MIN_SCALE = 0.02
 """Share of the laser's motion below which the sign of odometry's is chance: it creeps while it stands."""
 

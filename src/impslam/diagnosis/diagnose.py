@@ -55,7 +55,7 @@ def diagnose(
     `defaults` are the streams to read if the config names none; see `Source.defaults`. Each lidar is
     compared with odometry; a quick diagnosis leaves out the slowest check where it is hardly needed.
     """
-    names = list(lidars_of(config))
+    names = list(lidars_of(config.make_robot()))
     if len(names) > 1:
         batches = list(batches)  # which are read several times
     every = confirmed(
@@ -102,17 +102,12 @@ def _checks(e: Evidence, is_quick: bool) -> Sequence[Check]:
     return [check for check in CHECKS if check is not check_direction] if is_known else CHECKS
 
 
-def head_of(config: Config, scans: int) -> Head:
-    """Return an empty head for this number of scans of each lidar."""
-    return Head(scans * max(len(lidars_of(config)), 1))
-
-
 def first_look(config: Config, source: Source) -> list[Finding]:
     """Return the harmful findings in the beginning of a log; the source must be open."""
-    lidars = len(lidars_of(config))
+    lidars = len(lidars_of(config.make_robot()))
     if not lidars:
         return []
-    head = head_of(config, FIRST_SCANS)
+    head = Head(FIRST_SCANS * lidars)
     for _ in head.read(source.batches()):
         pass
     if head.scans < MIN_SCANS * lidars:

@@ -95,7 +95,8 @@ class Evidence:
 
 def gather_evidence(config: Config, name: str, recording: CalibrationRows) -> Evidence:
     """Compare the motions of the lidar with this name in a recording with odometry."""
-    robot, lidars = config.make_robot(), lidars_of(config)
+    robot = config.make_robot()
+    lidars = lidars_of(robot)
     lidar = lidars[name]
     if recording.untimed:
         recording = in_file_order(recording)

@@ -458,6 +458,11 @@ class Landmark:
     first_stamp: float
     last_stamp: float
 
+    @property
+    def is_line(self) -> bool:
+        """Whether it is a line, with the parameters r and alpha; otherwise it is a point."""
+        return "r" in self.parameters and "alpha" in self.parameters
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrueLandmark:

@@ -28,12 +28,10 @@ def with_scale(covariances: Array, poses: Array, origin: Array, sigma: float) ->
 def landmark_with_scale(landmark: Landmark, origin: Array, sigma: float) -> Landmark:
     """Return a landmark with a covariance that includes that of the scale; see `with_scale`.
 
-    Landmarks with parameters r and alpha are lines: their distance r from the origin of the map changes.
+    The scale changes the distance r of a line, and both coordinates of a point.
     """
-    values = landmark.parameters
-    by_scale = landmark.position - origin
-    if "r" in values and "alpha" in values:
-        normal = np.array([np.cos(values["alpha"]), np.sin(values["alpha"])])
-        by_scale = np.array([values["r"] - normal @ origin, 0.0])
-    by_scale = sigma * by_scale
-    return replace(landmark, covariance=landmark.covariance + np.outer(by_scale, by_scale))
+    J = landmark.position - origin
+    if landmark.is_line:
+        r, alpha = landmark.parameters["r"], landmark.parameters["alpha"]
+        J = np.array([r - np.cos(alpha) * origin[0] - np.sin(alpha) * origin[1], 0.0])
+    return replace(landmark, covariance=landmark.covariance + sigma**2 * np.outer(J, J))

@@ -26,12 +26,12 @@ def moved_covariances(T: Array, covariances: Array) -> Array:
 def moved_landmark(T: Array, landmark: Landmark) -> Landmark:
     """Return a landmark after the map has moved by T (3,).
 
-    Landmarks with parameters r and alpha are lines; others are points, with the covariance of x and y.
+    The covariance of a line is that of r and alpha, that of a point of x and y.
     """
     ends = None if landmark.end_points is None else transform(T, landmark.end_points)
     values, J = dict(landmark.parameters), rotation(float(T[2]))
     position = transform(T, landmark.position)
-    if "r" in values and "alpha" in values:
+    if landmark.is_line:
         values["r"], values["alpha"], J = _moved_line(T, values["r"], values["alpha"])
         position = values["r"] * np.array([math.cos(values["alpha"]), math.sin(values["alpha"])])
     values |= dict(zip(("x", "y"), position.tolist(), strict=True)) if "x" in values else {}

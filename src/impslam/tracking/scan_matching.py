@@ -260,12 +260,12 @@ def _move(
     _fuse(state, settings, match.guess, match.H, match.W, covariance)
     between(state.matched, state.pose, state.velocity)
     far = match.W[0] * state.prior[0] < 0.1  # beyond three times the range of full weight
-    if no_odometry:
-        _coast(state, out.located[k], weakest, axis, covariance)
-    else:
+    if not no_odometry:
         off = state.pose[:2] - match.guess[:2]
         seconds, difference = state.travelled[2], state.faults.difference
         far |= add_difference(difference, off, state.prior[0], seconds, covariance)
+    if no_odometry:
+        _coast(state, out.located[k], weakest, axis, covariance)
     odometry_motion = state.velocity if no_odometry else state.motion
     out.reasons[k], out.amounts[k] = check_motion(
         state.faults, odometry_motion, state.velocity, out.located[k], far, state.travelled[2]

@@ -70,7 +70,6 @@ class MatchFaults(NamedTuple):
     poor : (2,) scans in a row that do not fit, and s since the first of them
     shares : (2,) mean of the inlier share of many scans, and its variance
     odometry, scans : (2,) m and rad by odometry and by the scans within `WINDOW`
-    difference : (4,) see `disagreement`
     unlocated : (1,) m travelled since a scan last determined the position
     turns : (2,) sums of the products of turns by odometry and by scans, and of their magnitudes, rad^2
     newest : (2,) reason and distance of the newest match that was compared
@@ -81,7 +80,6 @@ class MatchFaults(NamedTuple):
     shares: Array
     odometry: Array
     scans: Array
-    difference: Array
     unlocated: Array
     turns: Array
     newest: Array
@@ -110,7 +108,6 @@ def initial_faults() -> MatchFaults:
         np.array([INITIAL_SHARE[0], INITIAL_SHARE[1] ** 2]),
         np.zeros(2),
         np.zeros(2),
-        np.zeros(4),
         np.zeros(1),
         np.zeros(2),
         np.zeros(2),
@@ -161,7 +158,7 @@ def check_motion(
     """Update with a match; return a reason and the amount that comes with it.
 
     `odometry` and `scans` are the motions (3,) since the last match, `located` is whether the scan
-    determines the position, and `far` whether the match, or the last few together, are far from odometry.
+    determines the position, and `far` whether the match is far from the pose of odometry.
     """
     keep = math.exp(-duration / WINDOW)
     for sums, motion in ((faults.odometry, odometry), (faults.scans, scans)):

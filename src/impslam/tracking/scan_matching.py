@@ -23,7 +23,6 @@ from impslam.surfaces.features import Features, find_features, leave_out_grazing
 from impslam.surfaces.surface_map import Alignment, align
 from impslam.tracking.base import Gate, Steps, add_travel, reaches_limit
 from impslam.tracking.contradictions import MIN_CONTRADICTED, contradicted_share
-from impslam.tracking.disagreement import add_difference
 from impslam.tracking.hypotheses import (
     Prediction,
     align_from_predictions,
@@ -260,10 +259,6 @@ def _move(
     _fuse(state, settings, match.guess, match.H, match.W, covariance)
     between(state.matched, state.pose, state.velocity)
     far = match.W[0] * state.prior[0] < 0.1  # beyond three times the range of full weight
-    if not no_odometry:
-        off = state.pose[:2] - match.guess[:2]
-        seconds, difference = state.travelled[2], state.faults.difference
-        far |= add_difference(difference, off, state.prior[0], seconds, covariance)
     if no_odometry:
         _coast(state, out.located[k], weakest, axis, covariance)
     odometry_motion = state.velocity if no_odometry else state.motion

@@ -33,14 +33,14 @@ def covered(scans, distance=0.3, begin=20, sector=SECTOR):
     return ranges, points
 
 
-def hidden(scans, columns, cut=1000):
+def hidden(scans, columns, cut=1000, steps=STEP):
     cover, out = initial_cover(len(ANGLES)), []
     ranges, points = columns
     scans = replace(scans, ranges=ranges, points=points)
     for k in range(0, len(ranges), cut):
         part = slice(k, k + cut)
-        steps = np.tile(STEP, (len(ranges[part]), 1))
-        out.append(hidden_beams(steps, scans.take(part), cover))
+        d_pose = np.broadcast_to(steps, (len(ranges), 3))[part]
+        out.append(hidden_beams(np.ascontiguousarray(d_pose), scans.take(part), cover))
     return np.concatenate(out)
 
 
@@ -99,6 +99,14 @@ def test_a_wall_close_by_that_is_followed_is_no_cover():
     lines = np.array([[[-5.0, 0.4], [20.0, 0.4]], [[20.0, -1.5], [-5.0, -1.5]]])
     scans = driven(np.array([0.04, 0.0, 0.0]), lines=lines)
     assert not hidden(scans, (scans.ranges, scans.points)).any()
+
+
+def test_wrong_odometry_makes_no_cover_of_a_wall_close_by(rng):
+    """Along a wall nearly all ranges stay, whatever odometry says; the others show that it is wrong."""
+    steps = STEP + 0.15 * rng.standard_normal((60, 3))
+    lines = room(-3.0, 6.0, -0.6, 2.5)
+    scans = driven(np.array([0.04, 0.0, 0.0]), lines=lines)
+    assert not hidden(scans, (scans.ranges, scans.points), steps=steps).any()
 
 
 def test_a_stalled_robot_has_no_cover():

@@ -13,20 +13,22 @@ GEOMETRY = Geometry(np.zeros(3), -1.0, 0.01)
 
 @pytest.mark.parametrize(("ahead", "changes"), [(0.0, False), (0.05, False), (0.2, True)])
 def test_a_motion_towards_a_wall_changes_its_beams(ahead, changes):
-    k = changed_beam(100, np.array([ahead, 0.0, 0.0]), POINTS, WALL, GEOMETRY)
+    k, predicted = changed_beam(100, np.array([ahead, 0.0, 0.0]), POINTS, WALL, GEOMETRY)
     assert k == (100 if changes else -1)
+    assert predicted == pytest.approx(3.0 - ahead)
 
 
 def test_a_point_is_seen_by_the_beam_in_its_direction_after_the_motion():
     motion = np.array([0.5, 0.3, 0.2])
-    k = changed_beam(120, motion, POINTS, WALL, GEOMETRY)
+    k, predicted = changed_beam(120, motion, POINTS, WALL, GEOMETRY)
     x, y = POINTS[120] - motion[:2]
     assert k == round((np.arctan2(y, x) - 0.2 + 1.0) / 0.01)
+    assert predicted == pytest.approx(np.hypot(x, y))
 
 
 def test_an_invalid_point_changes_nothing():
     ranges = np.where(np.arange(201) == 100, 0.0, WALL)
-    assert changed_beam(100, np.array([0.5, 0.0, 0.0]), POINTS, ranges, GEOMETRY) == -1
+    assert changed_beam(100, np.array([0.5, 0.0, 0.0]), POINTS, ranges, GEOMETRY)[0] == -1
 
 
 @pytest.mark.parametrize("beams", [1, 4])
@@ -34,4 +36,4 @@ def test_beams_in_one_direction_never_change(beams):
     """A sonar has one beam; a driver that knows no angles gives all beams the same one."""
     points, ranges = np.tile([3.0, 0.0], (beams, 1)), np.full(beams, 3.0)
     same = Geometry(np.zeros(3), 0.0, 0.0)
-    assert changed_beam(0, np.array([0.5, 0.0, 0.0]), points, ranges, same) == -1
+    assert changed_beam(0, np.array([0.5, 0.0, 0.0]), points, ranges, same)[0] == -1

@@ -5,7 +5,8 @@ Such points look like a wall that never moves, and they hold the estimated pose 
 - A reference scan is kept. Once odometry reports enough motion since, each of its points should appear
   elsewhere in the scan. A beam that should measure another range by now, and does not, three times in a
   row, is hidden. So are its neighbours on the same surface: motion does not change every range of a
-  round cover.
+  round cover. This is tested only while the other beams measure what odometry's motion predicts: a slip
+  also leaves ranges as they are.
 - A large part of the beams becomes short from one scan to the next, while the others measure what they
   did. Nothing in a room does this, so these beams are hidden at once.
 
@@ -36,8 +37,11 @@ MIN_COMPARISONS = 3
 """Comparisons in a row, 0.6 m of travel, in which a beam must measure the same."""
 MIN_SHARE = 0.02
 """Share of the beams, on one surface, that must do so; fewer may be a table leg or a person."""
-MIN_CHANGED = 0.3
-"""Share of the other beams due to change that must change; otherwise the robot does not move."""
+MAX_DEVIATION = 0.5
+"""A range confirms the motion if it is off by less than this share of the predicted change: more than
+the error of a slipping wheel."""
+MIN_CONFIRMING = 0.5
+"""Share of the other ranges due to change that must confirm the motion; people and table legs do not."""
 MAX_STEP_ON_SURFACE = 0.1
 """m: largest difference in range between neighbours on one surface."""
 SUDDEN_COVER = (0.3, 1.2)
@@ -203,28 +207,38 @@ def _compare(ranges: Array, valid: Mask, geometry: Geometry, cover: Cover) -> No
     cover.hidden[:] &= cover.same > 0
     if near < MIN_SHARE * n:  # they would be too few, whatever the motion
         return
-    changed = others = 0
-    should = _beams_to_change(geometry, cover)
+    predicted = _predicted_ranges(geometry, cover)
+    confirmed = _is_confirmed(predicted, ranges, valid, cover.ranges)
     for i in range(n):
-        if should[i] and cover.ranges[i] >= MAX_RANGE:
-            others += 1
-            changed += not same[i]
-        elif should[i] and cover.same[i] > 0:
+        if not confirmed and not cover.hidden[i]:
+            cover.against[i] = 0
+        elif predicted[i] > 0.0 and cover.same[i] > 0:
             cover.against[i] += 1
-    if changed >= MIN_CHANGED * others:
-        _hide_surfaces(ranges, cover)
+    _hide_surfaces(ranges, cover)
 
 
 @kernel
-def _beams_to_change(geometry: Geometry, cover: Cover) -> Mask:
-    """Return the beams (n,) that the motion since the reference scan should have changed."""
-    should = np.zeros(len(cover.ranges), np.bool_)
-    for j in range(len(should)):
+def _predicted_ranges(geometry: Geometry, cover: Cover) -> Array:
+    """Return the ranges (n,), m, that the motion since the reference scan should lead to; 0: no change."""
+    predicted = np.zeros(len(cover.ranges))
+    for j in range(len(predicted)):
         if not cover.hidden[j]:  # hidden beams are no evidence for others
-            k = changed_beam(j, cover.odometry, cover.points, cover.ranges, geometry)
-            if k >= 0:
-                should[k] = True
-    return should
+            k, expected = changed_beam(j, cover.odometry, cover.points, cover.ranges, geometry)
+            if k >= 0 and (predicted[k] == 0.0 or expected < predicted[k]):
+                predicted[k] = expected
+    return predicted
+
+
+@kernel
+def _is_confirmed(predicted: Array, ranges: Array, valid: Mask, reference: Array) -> bool:
+    """Return whether the ranges beyond `MAX_RANGE` changed as predicted."""
+    due = confirming = 0
+    for i in range(len(ranges)):
+        if predicted[i] > 0.0 and valid[i] and reference[i] >= MAX_RANGE:
+            due += 1
+            change = abs(predicted[i] - reference[i])
+            confirming += abs(ranges[i] - predicted[i]) < MAX_DEVIATION * change
+    return confirming >= MIN_CONFIRMING * due
 
 
 @kernel

@@ -31,25 +31,28 @@ def geometry_of(scans: Scans) -> Geometry:
 
 
 @kernel
-def changed_beam(j: int, motion: Array, points: Array, ranges: Array, geometry: Geometry) -> int:
-    """Return the beam that hits point j of a reference scan after a motion (3,), if its range changes.
+def changed_beam(
+    j: int, motion: Array, points: Array, ranges: Array, geometry: Geometry
+) -> tuple[int, float]:
+    """Return the beam that hits point j of a reference scan after a motion (3,), and its range, m.
 
-    Return -1 if it does not, if there is no such beam, or if all beams have the same direction.
-    `points` (n, 2) are in base_link; `ranges` (n,), m, are 0 where invalid.
+    The beam is -1 if its range does not change, if there is no such beam, or if all beams have the same
+    direction. `points` (n, 2) are in base_link; `ranges` (n,), m, are 0 where invalid.
     """
     if ranges[j] <= 0.0 or geometry.spacing == 0.0:
-        return -1
+        return -1, 0.0
     n, laser, c, s = len(ranges), geometry.laser, math.cos(motion[2]), math.sin(motion[2])
     x, y = points[j, 0] - motion[0], points[j, 1] - motion[1]
     dx, dy = c * x + s * y - laser[0], c * y - s * x - laser[1]
     k = beam_towards(math.atan2(dy, dx) - laser[2], n, geometry)
     if k < 0 or ranges[k] <= 0.0:
-        return -1
+        return -1, 0.0
     shortest = longest = ranges[k]  # on a grazed wall, neighbours measure very different ranges
     for i in range(max(k - 1, 0), min(k + 2, n)):
         shortest, longest = min(shortest, ranges[i]), max(longest, ranges[i])
     expected = math.hypot(dx, dy)
-    return k if expected < shortest - MIN_CHANGE or expected > longest + MIN_CHANGE else -1
+    changed = expected < shortest - MIN_CHANGE or expected > longest + MIN_CHANGE
+    return (k if changed else -1), expected
 
 
 @kernel

@@ -137,7 +137,7 @@ def _compare(
     motion = np.array([scale * expected[0], scale * expected[1], 0.0])
     changed = same = 0
     for j in range(len(ranges)):
-        k = changed_beam(j, motion, state.points, state.ranges, geometry)
+        k, _ = changed_beam(j, motion, state.points, state.ranges, geometry)
         if k >= 0 and valid[k]:
             changed += 1
             tolerance = RANGE_TOLERANCE[0] + RANGE_TOLERANCE[1] * state.ranges[k]

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from tests.extractors.scans import room
 from tests.recognition.plans import (
     CORRIDOR,
     OFFICE,
@@ -38,7 +39,7 @@ def test_the_pose_is_found_from_anywhere_in_the_window(size, rng):
     recogniser = Recogniser()
     for _ in range(20):
         half = np.array([size, size, min(0.1 * size, 0.5)])
-        guess = TRUTH + half * rng.uniform(-0.95, 0.95, 3)
+        guess = TRUTH + half * rng.uniform(-0.75, 0.75, 3)
         closure = recogniser.close(REFERENCE, QUERY, guess, Window(*half))
         assert_at(closure, TRUTH)
         assert closure.verdict == ClosureStrength.STRONG
@@ -91,6 +92,29 @@ def test_a_place_that_looks_partly_alike_is_refused():
     for size in (0.4, 2.0):
         assert recogniser.close(reference, QUERY, truth, Window(size, size, 0.2)) is None
     assert recogniser.counts["contradicted"] + recogniser.counts["no peak"] == 2
+
+
+AISLES = np.concatenate([room(-4.0, 4.0, -1.0, 1.0), room(-4.0, 4.0, 2.0, 4.0)])
+
+
+def test_the_next_aisle_is_not_the_one_that_looks_alike():
+    """Shelves 3 m apart: what the query shows is where the robot believes to be."""
+    here, beside = way(-3.0, 0.0, 3.0, 0.0, 8), way(-1.0, 3.0, 1.0, 3.0, 5)
+    reference = place(AISLES, here, here[6], REFERENCE_CELL)
+    query = place(AISLES, beside, beside[2], QUERY_CELL, seed=1)
+    truth = between(here[6], beside[2])
+    recogniser = Recogniser()
+    assert recogniser.close(reference, query, truth, Window(3.2, 3.2, 0.3)) is None
+    assert recogniser.counts["unlikely"] == 1
+    alike = truth - np.array([0.0, 3.0, 0.0])
+    assert_at(recogniser.close(reference, query, alike, Window(1.0, 1.0, 0.3)), alike, 0.05)
+
+
+def test_a_place_beyond_three_sigma_is_found_if_the_guess_is_contradicted():
+    closure = Recogniser().close(
+        REFERENCE, QUERY, TRUTH + np.array([0.0, 2.7, 0.0]), Window(3.0, 3.0, 0.3)
+    )
+    assert_at(closure, TRUTH)
 
 
 @pytest.mark.parametrize("size", [0.5, 3.0])

@@ -6,7 +6,14 @@ from tests.extractors.scans import room
 from tests.recognition.plans import OFFICE, place, walls, way
 
 from impslam.geometry.se2 import compose
-from impslam.recognition.verify import MIN_SEEN, ClosureStrength, Support, judge, verify
+from impslam.recognition.verify import (
+    MIN_SEEN,
+    ClosureStrength,
+    Support,
+    contradicted_share,
+    judge,
+    verify,
+)
 from impslam.surfaces.surface_map import add, empty_surface_map
 
 SQUARE = room(-4.0, 4.0, -3.0, 3.0)
@@ -41,6 +48,15 @@ def test_what_the_query_saw_free_contradicts_the_reference():
     found = support(seen(np.concatenate([SQUARE, SHELF])), seen(SQUARE))
     assert found.reference < 0.9
     assert found.query > 0.98
+
+
+def test_contradicted_points_are_counted_on_either_side():
+    bare, furnished = seen(SQUARE), seen(np.concatenate([SQUARE, SHELF]))
+    for reference, query in ((bare, furnished), (furnished, bare)):
+        known = empty_surface_map(40.0, 40.0, 20000)
+        add(known, reference.features, HERE, 20.0)
+        assert 0.05 < contradicted_share(known, reference, query, HERE) < 0.3
+        assert contradicted_share(known, reference, reference, HERE) == 0.0
 
 
 def test_what_the_reference_never_saw_has_no_effect():

@@ -7,7 +7,7 @@ import pytest
 from tests.extractors.scans import cast, room, with_ranges
 from tests.rooms import MOUNTS, Mount, features_at
 
-from impslam.surfaces.features import beam_spacing, features, leave_out_grazing
+from impslam.surfaces.features import beam_spacing, features, leave_out_oblique
 
 ROOM = room(-2.0, 3.0, -1.5, 2.2)
 LASERS = [(0.0, 0.0, 0.0), (0.4, 0.2, 1.0), (-0.3, -0.25, math.pi)]
@@ -127,7 +127,7 @@ def test_features_of_grazing_beams_can_be_left_out():
     assert (0.2 / np.hypot(*rows[grazing, :2].T) < 0.121).all()
     assert ((rows[:, 4] == 0.0) & ~grazing).any()  # the post
     kept = rows.copy()
-    np.testing.assert_array_equal(kept[: leave_out_grazing(kept)], rows[~grazing])
+    np.testing.assert_array_equal(kept[: leave_out_oblique(kept)], rows[~grazing])
 
 
 def test_sparse_beams_along_a_wall_are_no_posts():
@@ -135,12 +135,12 @@ def test_sparse_beams_along_a_wall_are_no_posts():
     angles = np.radians(np.arange(-90.0, 91.0))
     wall = np.array([[[-30.0, 1.0], [30.0, 1.0]]])
     rows = features(cast(wall, angles=angles, range_max=30.0).scan, 0.0)
-    kept = rows[: leave_out_grazing(rows)]
+    kept = rows[: leave_out_oblique(rows)]
     assert (kept[:, 4] > 0.0).all()
     assert len(kept) > 60
     post = np.array([[3.0, 0.0, 0.02]])
     rows = features(cast(wall, post, angles=angles, range_max=30.0).scan, 0.0)
-    kept = rows[: leave_out_grazing(rows)]
+    kept = rows[: leave_out_oblique(rows)]
     lone = kept[kept[:, 4] == 0.0]
     np.testing.assert_allclose(lone[:, :2], [[2.98, 0.0]], atol=1e-3)
 

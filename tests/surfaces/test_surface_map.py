@@ -182,8 +182,13 @@ def residuals(held, pose, facing_at):
         if surfel[5] > 0.0 and row[4] > 0.0:
             if surfel[2:4] @ at @ row[2:4] >= MIN_NORMAL_COSINE:
                 out.append((surfel[5] * row[4], np.array([surfel[2:4] @ e])))
-        else:
-            out.append((LONE_WEIGHT if surfel[5] == row[4] else MIXED_WEIGHT, e))
+            continue
+        normals = [
+            n for n, weight in ((at @ row[2:4], row[4]), (surfel[2:4], surfel[5])) if not weight
+        ]
+        normal = next((n for n in normals if n.any()), None)  # at grazing incidence
+        e = e if normal is None else np.array([normal @ e])
+        out.append((LONE_WEIGHT if surfel[5] == row[4] else MIXED_WEIGHT, e))
     return out
 
 
@@ -198,7 +203,8 @@ def cost(held, pose, scale, facing_at):
 @pytest.mark.parametrize("off", [(0.0, 0.0, 0.0), (0.05, -0.03, 0.02), (-0.1, 0.04, -0.05)])
 def test_normal_equations_equal_numerical_differences_of_the_robust_cost(off, scale):
     scan = features_at(PLACE)
-    scan[::7, 4] = 0.0  # some without surface, on either side
+    scan[::7, 4] = 0.0  # some at grazing incidence, some without surface
+    scan[::14, 2:4] = 0.0
     known = map_of(
         (features_at(PLACE + np.array([0.3, -0.2, 0.1])), PLACE + np.array([0.3, -0.2, 0.1]))
     )
@@ -222,6 +228,18 @@ def test_normal_equations_equal_numerical_differences_of_the_robust_cost(off, sc
 def _cells_apart(known, surfel, row, pose):
     point = compose(pose, np.array([row[0], row[1], 0.0]))[:2]
     return np.floor((point - known.corner) / CELL) - np.floor((surfel[6:8] - known.corner) / CELL)
+
+
+def test_points_at_grazing_incidence_determine_nothing_along_their_wall():
+    """The ends of walls in view move with the robot, and must not hold the pose back."""
+    graze = rows(*([0.4 * k, 1.0, 0, -1, 0] for k in range(12)))
+    wall = rows(*([0.05 * k, 1.0, 0, -1, 1] for k in range(-20, 60)))
+    pose, evidence = np.array([0.15, 0.02, 0.0]), no_evidence()
+    for known, scan in ((graze, graze), (wall, graze), (graze, wall)):
+        normal_equations(map_of((known, np.zeros(3))), scan, pose, 0.4, 1, evidence)
+        assert evidence.sums[1] > 0.0
+        assert evidence.H[1, 1] > 0.0
+        assert evidence.H[0, 0] == evidence.g[0] == 0.0
 
 
 def test_sums_count_points_and_measure_how_they_fit():

@@ -578,6 +578,16 @@ def test_a_lidar_alone_keeps_its_velocity_along_a_bare_corridor(rng):
     assert off[-1, 0] ** 2 < 9.0 * ends(out)[1][0, 0]
 
 
+def test_a_bare_corridor_neither_stops_odometry_nor_changes_its_scale(rng):
+    """Its range limit ends what the lidar shows of the walls, and these ends move with the robot."""
+    poses = straight(300, start=(-20.0, 0.2, 0.0))
+    scans = scans_from(poses, CORRIDOR, range_max=5.6, noise=0.01, rng=rng)
+    tracker, out, off = drive(poses, odometry_of(poses), scans)
+    assert not out.located.any()
+    assert tracker._state.odometry.bias[2] == 0.0
+    assert abs(off[-1, 0]) < 0.1
+
+
 def test_spurious_information_is_subtracted_from_the_weakest_axis_alone(rng):
     J = rng.standard_normal((40, 3)) * [0.02, 1.0, 2.0]
     H = J.T @ J

@@ -88,6 +88,8 @@ class Graph(Estimator):
     _models: Mapping[str, LandmarkModel] = PrivateAttr()
     _known: Map | None = PrivateAttr(None)
     _settled: Revision | None = PrivateAttr(None)
+    _final: PoseGraph | None = PrivateAttr(None)
+    """The graph with the closures of the newest node, after `settle`."""
 
     def start(
         self,
@@ -112,7 +114,7 @@ class Graph(Estimator):
         return self._with_scale(self._add(keyframe))
 
     def _add(self, keyframe: Keyframe) -> Revision:
-        self._settled = None
+        self._settled = self._final = None
         used, refused = _usable(keyframe)
         self._extend_chain(used, keyframe.motion)
         moved = False
@@ -266,10 +268,12 @@ class Graph(Estimator):
             return None
         graph, refused = copy(self._graph), ""
         try:
+            self._closer.copy().search(len(graph) - 1, self._keys, graph)
             if graph.closures:
                 graph.solve()
         except NumericalError as error:
-            refused = f"the last closures are not in the map: {error}"
+            graph, refused = copy(self._graph), f"the last closures are not in the map: {error}"
+        self._final = graph
         settled = self._revise_all(graph)
         part = _refinable(self._keys, graph)
         poses = refined(blended(self._keys, graph), self._keys, self.rounds, part)
@@ -301,7 +305,7 @@ class Graph(Estimator):
 
     def edges(self) -> Edges:
         """Return motions and closures between keyframes; see `Estimator.edges`."""
-        edges, nodes = self._graph.edges, self._keys.nodes
+        edges, nodes = (self._final or self._graph).edges, self._keys.nodes
         return edges._replace(i=nodes[edges.i], j=nodes[edges.j])
 
     def observations(self) -> tuple[tuple[Observation, ...], ...]:
@@ -311,7 +315,8 @@ class Graph(Estimator):
     def counts(self) -> Mapping[str, int]:
         """Return the numbers of tried and accepted loop closures, and of sessions."""
         tried = self._closer.recogniser.counts["attempts"]
-        counts = {"loops tried": tried, "loops closed": self._graph.closures}
+        closed = (self._final or self._graph).closures
+        counts = {"loops tried": tried, "loops closed": closed}
         first = np.unique(self._keys.sessions, return_index=True)[1]
         if len(first) > 1:
             pending = np.count_nonzero(self._graph.roots[self._keys.node_before[first]])

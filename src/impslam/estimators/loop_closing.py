@@ -112,8 +112,17 @@ class LoopCloser:
         self._pending: list[_Pending] = []
         self._ties: list[_Pending] = []
 
+    def copy(self) -> LoopCloser:
+        """Return one that continues the search on a copy of the graph."""
+        other = LoopCloser(self._search)
+        other._pending = list(self._pending)
+        return other
+
     def search(self, node: int, keys: KeyframeLog, graph: PoseGraph) -> bool:
-        """Search closures of a node, which is not the newest; return whether the graph must be solved."""
+        """Search closures of a node; return whether the graph must be solved.
+
+        What is driven after the node belongs to the query, so the newest node waits for the next one.
+        """
         paths = graph.path_lengths(node)
         windows = np.minimum(self._search.least + self._search.drift * paths, self._search.most)
         offsets = np.hypot(*(graph.poses[:, :2] - graph.poses[node, :2]).T)

@@ -82,8 +82,44 @@ def judge(support: Support, overlap: float = MIN_MATCHED) -> ClosureStrength:
     return ClosureStrength.REFUSED
 
 
+class _Evidence(NamedTuple):
+    """Numbers of points that support or contradict an alignment.
+
+    Attributes
+    ----------
+    matched, contradicted : of the query's points, those on surfaces and in free space of the reference
+    confirmed, refuted : of a sample of the reference's points, those that the query's scans see, and in
+        their free space
+    sample : size of that sample; `step` points of the reference for each
+    """
+
+    matched: int
+    contradicted: int
+    confirmed: int
+    refuted: int
+    sample: int
+    step: int
+
+
 def verify(known: SurfaceMap, reference: Submap, query: Submap, pose: Array) -> Support:
     """Return the support for the query's pose (3,) in the reference, whose surface map is `known`."""
+    n = _evidence(known, reference, query, pose)
+    return Support(
+        n.matched / max(len(query.features), 1),
+        n.matched / max(n.matched + n.contradicted, 1),
+        n.confirmed / max(n.confirmed + n.refuted, 1),
+        (n.confirmed + n.refuted) * n.step,
+    )
+
+
+def contradicted_share(known: SurfaceMap, reference: Submap, query: Submap, pose: Array) -> float:
+    """Return the share of the points of either submap in the free space of the other, the larger one."""
+    n = _evidence(known, reference, query, pose)
+    return max(n.contradicted / max(len(query.features), 1), n.refuted / max(n.sample, 1))
+
+
+def _evidence(known: SurfaceMap, reference: Submap, query: Submap, pose: Array) -> _Evidence:
+    """Return the evidence for the query's pose (3,) in the reference, whose surface map is `known`."""
     reference_scans = _nearest_scans(reference, pose, REFERENCE_SCANS)
     query_scans = _nearest_scans(query, np.zeros(3), QUERY_SCANS)
     query_scans = query_scans._replace(vantages=compose(pose, query_scans.vantages))
@@ -100,13 +136,8 @@ def verify(known: SurfaceMap, reference: Submap, query: Submap, pose: Array) -> 
         (near, query_scans.vantages, query_scans.free),
         counts,
     )
-    matched, against, confirmed, contradicted = (int(count) for count in counts)
-    return Support(
-        matched / max(len(query.features), 1),
-        matched / max(matched + against, 1),
-        confirmed / max(confirmed + contradicted, 1),
-        (confirmed + contradicted) * step,
-    )
+    matched, contradicted, confirmed, refuted = (int(count) for count in counts)
+    return _Evidence(matched, contradicted, confirmed, refuted, len(near), step)
 
 
 def _nearest_scans(submap: Submap, position: Array, limit: int) -> Submap:

@@ -15,10 +15,10 @@ Features: TypeAlias = np.ndarray[Any, np.dtype[np.float32]]
 """(n, 5) x, y in m; the unit normal on the lidar's side; and the weight of that normal.
 
 The weight is 1 on a surface, 0.5 at its end, with neighbours on one side only, and 0 without a surface: the
-normal is then 0, or that of a surface at grazing incidence. Rows are in beam order.
+normal is then 0, or that of a wall that is seen obliquely. Rows are in beam order.
 
-A single point counts as grazing if a neighbouring beam ends nearer, as with sparse beams on a long
-wall. Beams beside a table leg go past it.
+A single point counts as on such a wall if a neighbouring beam ends nearer, and the line through both is
+oblique, as on a long wall. Beams beside a table leg go past it.
 """
 
 NORMAL_RADIUS = (
@@ -27,6 +27,7 @@ NORMAL_RADIUS = (
 MAX_NEIGHBOURS = 8  # on either side: close to the lidar, more of them add nothing
 MIN_GAP, GAP_BEAMS = 0.12, 6.0  # m, and beam spacings: neighbours farther apart are on two surfaces
 MAX_GAP = 0.8  # m: upper bound of that distance
+OBLIQUE_BEAMS = 2.0  # beam spacings between neighbours on a wall that is seen at 30 degrees
 MIN_INCIDENCE = 0.12  # cosine of incidence (83 degrees): below, the beam's width smears the range
 FLATNESS, ROUGHNESS = (
     0.05,
@@ -89,15 +90,21 @@ def find_features(
 
 @kernel
 def _single(
-    points: Array, valid: Mask, ranges: Array, origins: Array, i: int
+    points: Array, valid: Mask, ranges: Array, origins: Array, spacing: float, i: int
 ) -> tuple[float, float, float]:
     """Return the normal and weight of a point without neighbours; see `Features`."""
-    before = i > 0 and valid[i - 1] and ranges[i - 1] < ranges[i]
-    after = i + 1 < len(ranges) and valid[i + 1] and ranges[i + 1] < ranges[i]
-    if not (before or after):
-        return 0.0, 0.0, 0.0
-    x, y = points[i, 0] - origins[i, 0], points[i, 1] - origins[i, 1]
-    return y / ranges[i], -x / ranges[i], 0.0
+    x, y = points[i, 0], points[i, 1]
+    nx = ny = nearest = 0.0
+    for j in (i - 1, i + 1):
+        if j < 0 or j >= len(ranges) or not valid[j] or ranges[j] >= ranges[i]:
+            continue
+        dx, dy = points[j, 0] - x, points[j, 1] - y
+        distance = math.hypot(dx, dy)
+        if distance > OBLIQUE_BEAMS * ranges[j] * spacing and not 0.0 < nearest < distance:
+            nx, ny, nearest = -dy / distance, dx / distance, distance
+    if nx * (origins[i, 0] - x) + ny * (origins[i, 1] - y) < 0.0:
+        nx, ny = -nx, -ny
+    return nx, ny, 0.0
 
 
 @kernel
@@ -128,7 +135,7 @@ def _normal(
             before = j
         at_end += before == i
     if n < 3.0:
-        return _single(points, valid, ranges, origins, i)
+        return _single(points, valid, ranges, origins, spacing, i)
     xx, xy, yy = xx / n - (sx / n) ** 2, xy / n - sx * sy / n**2, yy / n - (sy / n) ** 2
     mean, half = 0.5 * (xx + yy), 0.5 * math.sqrt((xx - yy) ** 2 + 4.0 * xy * xy)
     angle = 0.5 * math.atan2(2.0 * xy, xx - yy)
@@ -145,10 +152,10 @@ def _normal(
 
 
 @kernel
-def leave_out_grazing(rows: Features) -> int:
-    """Move the features (n, 5) of beams without grazing incidence to the front; return their number.
+def leave_out_oblique(rows: Features) -> int:
+    """Move the features (n, 5) but those of walls seen obliquely to the front; return their number.
 
-    The visible ends of grazed walls move with the robot; without odometry nothing outweighs that in a
+    The visible ends of such walls move with the robot; without odometry nothing outweighs that in a
     corridor.
     """
     count = 0

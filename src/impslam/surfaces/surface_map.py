@@ -26,7 +26,7 @@ MIN_NORMAL_COSINE = 0.6  # 53 degrees: normals farther apart belong to two surfa
 LONE_WEIGHT, MIXED_WEIGHT = (
     0.2,
     0.1,
-)  # weights of a point without a normal: its surfel has none either, or only one of them has
+)  # weights of a point whose normal has none: its surfel's has none either, or only one of them has
 _X, _Y, _NX, _NY, _COUNT, _WEIGHT, _X0, _Y0 = range(8)
 _INSIDE, _INLIERS, _SQUARES, _WEIGHTS = range(4)
 
@@ -231,9 +231,10 @@ def normal_equations(
             squares += share * share * e * e
             weights += share * share
         else:
-            share = 1.0 / (1.0 + (ex * ex + ey * ey) / (scale * scale))
-            w = (LONE_WEIGHT if surfel[_WEIGHT] == weight else MIXED_WEIGHT) * share * share
-            sums = _add_row(_add_row(sums, 1.0, 0.0, -ry, ex, w), 0.0, 1.0, rx, ey, w)
+            nx = c * features[i, 2] - s * features[i, 3]
+            ny = s * features[i, 2] + c * features[i, 3]
+            lone = (rx, ry, nx, ny, weight)
+            sums, share = _add_lone(sums, lone, surfel, ex, ey, scale)
         inliers += share
     _store(out, sums, (inside, inliers, squares, weights))
 
@@ -250,6 +251,34 @@ def _add_row(sums: _Sums, nx: float, ny: float, lever: float, e: float, w: float
     xx, xy, xt = xx + wx * nx, xy + wx * ny, xt + wx * lever
     yy, yt, tt = yy + wy * ny, yt + wy * lever, tt + wt * lever
     return xx, xy, xt, yy, yt, tt, gx + wx * e, gy + wy * e, gt + wt * e
+
+
+@kernel
+def _add_lone(
+    sums: _Sums,
+    point: tuple[float, float, float, float, float],
+    surfel: Array,
+    ex: float,
+    ey: float,
+    scale: float,
+) -> tuple[_Sums, float]:
+    """Return the sums plus a point, of which it or its surfel is on no surface, and its inlier weight.
+
+    `point` is its position and normal in the directions of the map, and the weight of that normal. On a
+    wall seen obliquely, only the distance across it counts: the point is anywhere along it, and the visible
+    end of the wall moves with the robot.
+    """
+    rx, ry, nx, ny, weight = point
+    if surfel[_WEIGHT] == 0.0 and (weight > 0.0 or (nx == 0.0 and ny == 0.0)):
+        nx, ny = surfel[_NX], surfel[_NY]
+    w = LONE_WEIGHT if surfel[_WEIGHT] == weight else MIXED_WEIGHT
+    if nx != 0.0 or ny != 0.0:
+        e = nx * ex + ny * ey
+        share = 1.0 / (1.0 + (e / scale) ** 2)
+        return _add_row(sums, nx, ny, ny * rx - nx * ry, e, w * share * share), share
+    share = 1.0 / (1.0 + (ex * ex + ey * ey) / (scale * scale))
+    w *= share * share
+    return _add_row(_add_row(sums, 1.0, 0.0, -ry, ex, w), 0.0, 1.0, rx, ey, w), share
 
 
 @kernel

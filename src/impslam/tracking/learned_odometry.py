@@ -101,12 +101,13 @@ def learn(
 
     Only plausible matches contribute to the bias. `pose` is as matched; `quality`, in 0..1, is how much it
     can be trusted. If a match does not determine the position, as along a bare corridor, the position is
-    that of odometry: that both agree means nothing, and the position noise does not fall.
+    that of odometry: that both agree means nothing. The position noise does not fall, and the scale of
+    distance is not learned.
     """
     learned.lengths[2] += not located
     if plausible:
         keep = math.exp(-(abs(motion[0]) + 0.3 * abs(motion[2])) / BIAS_MEMORY)
-        for k in range(3):
+        for k in range(3 if located else 2):
             cause, effect = (motion[2] if k == 1 else motion[0]), (off[0] if k == 2 else off[2])
             whole = effect + learned.bias[k] * cause  # without the correction
             learned.sums[k, 0] = keep * learned.sums[k, 0] + cause * whole

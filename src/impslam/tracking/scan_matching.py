@@ -19,7 +19,7 @@ from impslam.geometry.chain import advance, advance_pose
 from impslam.geometry.kernels import kernel
 from impslam.health import ELSEWHERE, UNEXPLAINED
 from impslam.noise import UNKNOWN
-from impslam.surfaces.features import Features, find_features, leave_out_grazing
+from impslam.surfaces.features import Features, find_features, leave_out_oblique
 from impslam.surfaces.surface_map import Alignment, align
 from impslam.tracking.base import Gate, Steps, add_travel, reaches_limit
 from impslam.tracking.contradictions import MIN_CONTRADICTED, contradicted_share
@@ -166,7 +166,7 @@ def _find_features(
         abs(beams.geometry.spacing), settings.thin, out,
     )  # fmt: skip
     if no_odometry:
-        count = leave_out_grazing(out[:count])
+        count = leave_out_oblique(out[:count])
     return count
 
 

@@ -207,8 +207,10 @@ def _compare(ranges: Array, valid: Mask, geometry: Geometry, cover: Cover) -> No
     cover.hidden[:] &= cover.same > 0
     if near < MIN_SHARE * n:  # they would be too few, whatever the motion
         return
-    predicted = _predicted_ranges(geometry, cover)
-    confirmed = _is_confirmed(predicted, ranges, valid, cover.ranges)
+    predicted = _predicted_ranges(geometry, cover, 0.0)
+    confirmed = _is_confirmed(
+        _predicted_ranges(geometry, cover, MAX_RANGE), ranges, valid, cover.ranges
+    )
     for i in range(n):
         if not confirmed and not cover.hidden[i]:
             cover.against[i] = 0
@@ -218,11 +220,14 @@ def _compare(ranges: Array, valid: Mask, geometry: Geometry, cover: Cover) -> No
 
 
 @kernel
-def _predicted_ranges(geometry: Geometry, cover: Cover) -> Array:
-    """Return the ranges (n,), m, that the motion since the reference scan should lead to; 0: no change."""
+def _predicted_ranges(geometry: Geometry, cover: Cover, nearest: float) -> Array:
+    """Return the ranges (n,), m, that the motion since the reference scan should lead to; 0: no change.
+
+    Points closer than `nearest` m are left out: they may be on a cover, which does not move.
+    """
     predicted = np.zeros(len(cover.ranges))
     for j in range(len(predicted)):
-        if not cover.hidden[j]:  # hidden beams are no evidence for others
+        if not cover.hidden[j] and cover.ranges[j] >= nearest:  # hidden beams are no evidence
             k, expected = changed_beam(j, cover.odometry, cover.points, cover.ranges, geometry)
             if k >= 0 and (predicted[k] == 0.0 or expected < predicted[k]):
                 predicted[k] = expected

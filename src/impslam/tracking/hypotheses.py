@@ -31,6 +31,8 @@ accelerate by less than 2 m/s^2 and 5 rad/s^2, over 0.2 s at most."""
 SLIP_PROBABILITY = 1e-3
 """Share of matches preceded by a slip: ten in an hour. A slip is uniform within 0.5 m and 0.5 rad, a
 volume of 1 m^2 rad."""
+NEAR = 0.1
+"""m: initial scale of the kernel with which the minimum nearest to a prediction is found."""
 SEARCH_HEADINGS, SEARCH_TURN, SEARCH_OFFSET = 9, 0.06, 0.25
 """Number of headings, rad between them, and m of the offsets to try around each prediction."""
 SEARCH_PRIOR_WEIGHT = 0.1
@@ -102,18 +104,23 @@ def align_from_predictions(
 ) -> float:
     """Align also from the last pose and from that at constant velocity; keep the pose of lowest cost.
 
-    `pose` (3,) and `evidence` are those of the alignment from the pose of odometry, and change in place.
+    From these and the pose of odometry, the nearest minimum is sought, too: the wide kernel may lead away
+    from it, into a worse one. `pose` (3,) and `evidence` are those of the alignment from the pose of odometry, and change in place.
     Return the inlier share.
     """
     best, other = pose.copy(), np.empty(3)
     prior = predicted.information * SEARCH_PRIOR_WEIGHT
     lowest = cost(pose, predicted, match, evidence)
-    for start in (predicted.extrapolated, predicted.last):
-        other[:] = start
-        align(submap, features, other, prior, match, evidence)
-        new_cost = cost(other, predicted, match, evidence)
-        if new_cost < lowest:
-            best[:], lowest = other, new_cost
+    near = Alignment(
+        match.iterations, NEAR, match.narrow, match.information, match.step, match.slack2
+    )
+    for start in (predicted.extrapolated, predicted.last, predicted.pose):
+        for how in (match, near):
+            other[:] = start
+            align(submap, features, other, prior, how, evidence)
+            new_cost = cost(other, predicted, match, evidence)
+            if new_cost < lowest:
+                best[:], lowest = other, new_cost
     return _finish(submap, features, best, match, pose, evidence)
 
 
@@ -132,7 +139,7 @@ def search(
     higher, which demands a clearer best the better odometry is.
     """
     coarse = Alignment(8, 0.25, 0.1, match.information, max(1, len(features) // 60), match.slack2)
-    fine = Alignment(4, 0.1, match.narrow, match.information, match.step, match.slack2)
+    fine = Alignment(4, NEAR, match.narrow, match.information, match.step, match.slack2)
     prior = predicted.information * SEARCH_PRIOR_WEIGHT
     old_cost = cost(pose, predicted, match, evidence)
     best, other = pose.copy(), np.empty(3)

@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 from tests.tracking.test_scan_to_map import circle, drive, odometry_of, scans_from, straight
 
-from impslam.surfaces.surface_map import Alignment, no_evidence
+from impslam.surfaces.surface_map import Alignment, add, align, empty_surface_map, no_evidence
 from impslam.tracking.hypotheses import (
     MAX_VELOCITY_CHANGE,
     Prediction,
+    align_from_predictions,
     chi2_of,
     cost,
-    near_constant_velocity,
+    is_expected,
 )
 
 MATCH = Alignment(14, 0.4, 0.06, 0.035**-2, 1, 9.0)
@@ -30,8 +31,9 @@ def evidence(inliers):
 
 
 @pytest.mark.parametrize("heading", [0.0, 2.0, math.pi])
-def test_steady_is_near_constant_velocity_in_any_frame(heading):
-    predicted = prediction(extrapolated=(5.0, -3.0, heading))
+def test_a_match_near_constant_velocity_is_expected_in_any_frame(heading):
+    at = (5.0, -3.0, heading)
+    predicted = prediction(at, extrapolated=at)._replace(information=np.ones(3))
     ahead = np.array([5.0, -3.0, heading])
     for k, limit in enumerate(
         (MAX_VELOCITY_CHANGE[0], MAX_VELOCITY_CHANGE[0], MAX_VELOCITY_CHANGE[1])
@@ -39,7 +41,33 @@ def test_steady_is_near_constant_velocity_in_any_frame(heading):
         for share, steady in ((0.99, True), (-0.99, True), (1.01, False), (-1.01, False)):
             d = np.zeros(3)
             d[k] = share * limit
-            assert near_constant_velocity(ahead + d, predicted) is steady
+            assert is_expected(ahead + d, predicted) is steady
+
+
+@pytest.mark.parametrize(("sigmas", "expected"), [(2.7, True), (2.9, False)])
+def test_a_match_far_from_odometry_is_not_expected(sigmas, expected):
+    pose = np.array([sigmas * SIGMAS[0], 0.0, 0.0])
+    assert is_expected(pose, prediction()) is expected
+
+
+def test_an_object_in_front_of_a_wall_does_not_draw_the_pose_away():
+    """It is 25 cm from that wall, within the wide kernel, and new; the others stay where they were."""
+
+    def wall(first, last, points):
+        rows = [(x, y, 0.0, -1.0, 1.0) for x, y in np.linspace(first, last, points)]
+        return np.array(rows, np.float32)
+
+    left, side = wall((-3.0, 1.0), (0.0, 1.0), 60), wall((3.0, -1.0), (3.0, 1.0), 30)
+    side[:, 2:4] = -1.0, 0.0
+    right, object_ = wall((0.1, 0.7), (3.0, 0.7), 60), wall((0.1, 0.45), (3.0, 0.45), 45)
+    known, scan = empty_surface_map(20.0, 20.0, 5000), np.concatenate([left, object_, side])
+    add(known, np.concatenate([left, right, side]), np.zeros(3), 20.0)
+    predicted, pose, found = prediction()._replace(usual=0.6), np.zeros(3), no_evidence()
+    align(known, scan, pose, predicted.information, MATCH, found)
+    assert not is_expected(pose, predicted)
+    assert pose[1] > 0.1
+    align_from_predictions(known, scan, predicted, MATCH, pose, found)
+    np.testing.assert_allclose(pose, 0.0, atol=1e-3)
 
 
 def test_distance_from_odometry_wraps():

@@ -28,11 +28,11 @@ from impslam.types import Array
 MAX_VELOCITY_CHANGE = (0.1, 0.2)
 """m, rad: a match farther from constant velocity may be a wrong minimum, or odometry slipped. Indoor robots
 accelerate by less than 2 m/s^2 and 5 rad/s^2, over 0.2 s at most."""
+MAX_CHI2 = 7.8
+"""95 % quantile of three degrees of freedom: a match farther from odometry may be a wrong minimum."""
 SLIP_PROBABILITY = 1e-3
 """Share of matches preceded by a slip: ten in an hour. A slip is uniform within 0.5 m and 0.5 rad, a
 volume of 1 m^2 rad."""
-NEAR = 0.1
-"""m: initial scale of the kernel with which the minimum nearest to a prediction is found."""
 SEARCH_HEADINGS, SEARCH_TURN, SEARCH_OFFSET = 9, 0.06, 0.25
 """Number of headings, rad between them, and m of the offsets to try around each prediction."""
 SEARCH_PRIOR_WEIGHT = 0.1
@@ -58,22 +58,24 @@ class Prediction(NamedTuple):
 
 
 @kernel
-def near_constant_velocity(pose: Array, predicted: Prediction) -> bool:
-    """Return whether a pose (3,) is near the one at constant velocity."""
-    d = np.empty(3)
-    between(predicted.extrapolated, pose, d)
-    return bool(
-        math.hypot(d[0], d[1]) <= MAX_VELOCITY_CHANGE[0] and abs(d[2]) <= MAX_VELOCITY_CHANGE[1]
-    )
-
-
-@kernel
 def chi2_of(pose: Array, predicted: Prediction) -> float:
     """Return the squared Mahalanobis distance of a pose (3,) from odometry."""
     ex, ey = pose[0] - predicted.pose[0], pose[1] - predicted.pose[1]
     et = wrap_in_kernel(pose[2] - predicted.pose[2])
     a = predicted.information
     return float(a[0] * ex * ex + a[1] * ey * ey + a[2] * et * et)
+
+
+@kernel
+def is_expected(pose: Array, predicted: Prediction) -> bool:
+    """Return whether a pose (3,) is near that of odometry, and near the one at constant velocity."""
+    if chi2_of(pose, predicted) > MAX_CHI2:
+        return False
+    d = np.empty(3)
+    between(predicted.extrapolated, pose, d)
+    return bool(
+        math.hypot(d[0], d[1]) <= MAX_VELOCITY_CHANGE[0] and abs(d[2]) <= MAX_VELOCITY_CHANGE[1]
+    )
 
 
 @kernel
@@ -105,14 +107,14 @@ def align_from_predictions(
     """Align also from the last pose and from that at constant velocity; keep the pose of lowest cost.
 
     From these and the pose of odometry, the nearest minimum is sought, too: the wide kernel may lead away
-    from it, into a worse one. `pose` (3,) and `evidence` are those of the alignment from the pose of odometry, and change in place.
-    Return the inlier share.
+    from it, into a worse one. `pose` (3,) and `evidence` are those of the alignment from the pose of
+    odometry, and change in place. Return the inlier share.
     """
     best, other = pose.copy(), np.empty(3)
     prior = predicted.information * SEARCH_PRIOR_WEIGHT
     lowest = cost(pose, predicted, match, evidence)
     near = Alignment(
-        match.iterations, NEAR, match.narrow, match.information, match.step, match.slack2
+        match.iterations, match.narrow, match.narrow, match.information, match.step, match.slack2
     )
     for start in (predicted.extrapolated, predicted.last, predicted.pose):
         for how in (match, near):
@@ -139,7 +141,7 @@ def search(
     higher, which demands a clearer best the better odometry is.
     """
     coarse = Alignment(8, 0.25, 0.1, match.information, max(1, len(features) // 60), match.slack2)
-    fine = Alignment(4, NEAR, match.narrow, match.information, match.step, match.slack2)
+    fine = Alignment(4, 0.1, match.narrow, match.information, match.step, match.slack2)
     prior = predicted.information * SEARCH_PRIOR_WEIGHT
     old_cost = cost(pose, predicted, match, evidence)
     best, other = pose.copy(), np.empty(3)

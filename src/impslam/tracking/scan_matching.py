@@ -27,7 +27,7 @@ from impslam.tracking.hypotheses import (
     Prediction,
     align_from_predictions,
     chi2_of,
-    near_constant_velocity,
+    is_expected,
     search,
 )
 from impslam.tracking.intervals import is_gap, updated_interval
@@ -331,7 +331,7 @@ def _find_pose(features: Features, state: State, settings: Settings, H: Array, W
     advance_pose(extrapolated, state.velocity)
     predicted = Prediction(state.pose.copy(), prior, state.matched, extrapolated, usual)
     share = align(submap, features, state.pose, prior, match, state.evidence)
-    if not near_constant_velocity(state.pose, predicted):
+    if not is_expected(state.pose, predicted):
         share = align_from_predictions(
             submap, features, predicted, match, state.pose, state.evidence
         )

@@ -134,7 +134,9 @@ def write_log(
 
     from impslam.evaluation.landmark_files import landmarks_path, write_true_landmarks
     from impslam.evaluation.tum import write_tum
+    from impslam.simulation.description import config_of
     from impslam.simulation.drive import drive
+    from impslam.simulation.robot import SimulatedRobot
     from impslam.simulation.simulate import simulate as messages
     from impslam.sources.recording import McapWriter
 
@@ -142,7 +144,7 @@ def write_log(
     duration = 0.0 if progress is None else drive(world.robot).duration
     tick = ticker(progress, "simulating", duration)
     log.parent.mkdir(parents=True, exist_ok=True)
-    with McapWriter(log) as writer:
+    with McapWriter(log, config_of(robot or SimulatedRobot())) as writer:
         truth = list(_recorded(messages(world, robot, seed), writer.write, tick))
     write_tum(truth_path(log), np.array([[true.stamp, *true.pose] for true in truth]))
     write_true_landmarks(landmarks_path(log), world.landmarks())

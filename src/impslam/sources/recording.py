@@ -21,7 +21,7 @@ class McapWriter(McapFile):
     Parameters
     ----------
     path : file to write; replaced if it exists
-    preset : name of the robot's preset, written first, on a latched topic
+    preset : name of the robot's preset, or its config as TOML, written first, on a latched topic
     """
 
     def __init__(self, path: Path, preset: str = "imp") -> None:

@@ -12,6 +12,8 @@ from impslam.simulation.robot import SimulatedRobot
 
 PRESET = "imp"
 """The config of the thesis's robot, which a `SimulatedRobot` is by default."""
+CHOICES = ("tracker", "estimator", "association")
+"""Tables of the preset that were chosen for its lidar; with another one, the default is safer."""
 ENCODERS = {"wheel_radius": "wheel_radius", "track": "track"}
 LIDAR = {
     "mount": "mount",
@@ -37,7 +39,11 @@ def config_of(robot: SimulatedRobot) -> str:
     if not odometry and not lidar:
         return PRESET
     table = {"robot": "simulated", "odometry": odometry, "sensors": {"lidar": lidar}}
-    return tomli_w.dumps(load(merge(read_table(PRESET), table)).resolved())
+    below = read_table(PRESET)
+    if lidar:
+        default = read_table("default")
+        below |= {name: default[name] for name in CHOICES}
+    return tomli_w.dumps(load(merge(below, table)).resolved())
 
 
 def _differences(

@@ -233,8 +233,7 @@ def normal_equations(
         else:
             nx = c * features[i, 2] - s * features[i, 3]
             ny = s * features[i, 2] + c * features[i, 3]
-            lone = (rx, ry, nx, ny, weight)
-            sums, share = _add_lone(sums, lone, surfel, ex, ey, scale)
+            sums, share = _add_lone(sums, (rx, ry, nx, ny, weight), surfel, ex, ey, scale)
         inliers += share
     _store(out, sums, (inside, inliers, squares, weights))
 

@@ -102,6 +102,22 @@ def test_a_fault_lasts_for_a_second():
     assert current_fault(faults, 1.1) == (NONE, 0.0)
 
 
+@pytest.mark.parametrize(("share", "expected"), [(0.85, NONE), (0.6, SLIPPED), (1.6, SLIPPED)])
+def test_distances_are_compared_over_three_seconds(share, expected):
+    """People who walk ahead hold the pose back by a few centimetres a scan."""
+    faults = initial_faults()
+    found = [check_motion(faults, AHEAD, share * AHEAD, True, False, 0.2)[0] for _ in range(30)]
+    assert found[:3] == [NONE] * 3
+    assert found[-1] == expected
+
+
+def test_one_slip_is_no_difference_of_distances():
+    faults = initial_faults()
+    for k in range(30):
+        scans = AHEAD + np.array([0.5 * (k == 15), 0.0, 0.0])
+        assert check_motion(faults, AHEAD, scans, True, False, 0.2)[0] == NONE
+
+
 def test_turns_are_compared_as_well():
     faults, turn = initial_faults(), np.array([0.0, 0.0, 0.1])
     results = [check_motion(faults, turn, STILL, True, False, 0.2)[0] for _ in range(5)]

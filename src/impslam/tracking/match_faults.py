@@ -54,6 +54,13 @@ STATIONARY_SHARE = 0.3
 """Share of the motion reported by one source; if the other reports less, it shows a stationary robot."""
 MIN_MOTION = 0.15, 0.25
 """m, rad: motion within this window below which nothing is compared; errors of matches are smaller."""
+LONG_WINDOW = 3.0
+"""s over which distances by odometry and by scans are compared: a metre or two."""
+MIN_DISTANCE, MAX_DIFFERENCE = 0.5, 0.25
+"""m, and share of the distance by which the two may differ. Odometry is off by 10 % at most, and errors of
+matches, by 5 cm; five recorded logs have 15 % at most."""
+MAX_STEP = 0.1
+"""m of difference that one match adds to that of the distances: a larger one is a slip, and passes."""
 TURN_MEMORY = 3.0
 """rad of turning over which the signs of turns by odometry and by scans are compared."""
 MIN_TURN_PRODUCT = 0.05
@@ -69,7 +76,8 @@ class MatchFaults(NamedTuple):
     ----------
     poor : (2,) scans in a row that do not fit, and s since the first of them
     shares : (2,) mean of the inlier share of many scans, and its variance
-    odometry, scans : (2,) m and rad by odometry and by the scans within `WINDOW`
+    odometry, scans : (3,) m and rad by odometry and by the scans within `WINDOW`, and m forward within
+        `LONG_WINDOW`
     unlocated : (1,) m travelled since a scan last determined the position
     turns : (2,) sums of the products of turns by odometry and by scans, and of their magnitudes, rad^2
     newest : (2,) reason and distance of the newest match that was compared
@@ -106,8 +114,8 @@ def initial_faults() -> MatchFaults:
     return MatchFaults(
         np.zeros(2),
         np.array([INITIAL_SHARE[0], INITIAL_SHARE[1] ** 2]),
-        np.zeros(2),
-        np.zeros(2),
+        np.zeros(3),
+        np.zeros(3),
         np.zeros(1),
         np.zeros(2),
         np.zeros(2),
@@ -164,6 +172,10 @@ def check_motion(
     for sums, motion in ((faults.odometry, odometry), (faults.scans, scans)):
         sums[0] = keep * sums[0] + math.hypot(motion[0], motion[1])
         sums[1] = keep * sums[1] + abs(motion[2])
+        sums[2] *= math.exp(-duration / LONG_WINDOW)
+    faults.odometry[2] += odometry[0]
+    difference = min(max(scans[0] - odometry[0], -MAX_STEP), MAX_STEP)
+    faults.scans[2] += odometry[0] + difference
     faults.unlocated[0] = 0.0 if located else faults.unlocated[0] + math.hypot(scans[0], scans[1])
     faults.newest[0], faults.newest[1] = _motion_fault(faults, located, far)
     if turns_oppose(faults.turns, odometry[2], scans[2]):
@@ -211,7 +223,10 @@ def _motion_fault(faults: MatchFaults, located: bool, far: bool) -> tuple[float,
                 and faults.odometry[a] < STATIONARY_SHARE * faults.scans[a]
             ):
                 return float(PUSHED), 0.0
-    if far:
+    ahead, by_scans = faults.odometry[2], faults.scans[2]
+    distance = max(abs(ahead), abs(by_scans))
+    differs = distance > MIN_DISTANCE and abs(by_scans - ahead) > MAX_DIFFERENCE * distance
+    if far or differs:
         return float(SLIPPED), 0.0
     if faults.unlocated[0] > MIN_OPEN_DISTANCE:
         return float(OPEN), faults.unlocated[0]

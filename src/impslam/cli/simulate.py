@@ -132,9 +132,9 @@ def write_log(
     """Write a simulated log and its truth; return the number of scans."""
     import numpy as np
 
+    from impslam.cli.simulated_config import config_of
     from impslam.evaluation.landmark_files import landmarks_path, write_true_landmarks
     from impslam.evaluation.tum import write_tum
-    from impslam.simulation.description import config_of
     from impslam.simulation.drive import drive
     from impslam.simulation.robot import SimulatedRobot
     from impslam.simulation.simulate import simulate as messages

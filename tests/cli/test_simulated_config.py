@@ -2,8 +2,8 @@
 
 import pytest
 
+from impslam.cli.simulated_config import LIDAR, PRESET, config_of
 from impslam.config import load
-from impslam.simulation.description import LIDAR, PRESET, config_of
 from impslam.simulation.robot import Lidar, SimulatedRobot, WheelEncoders
 from impslam.toml import parse
 

@@ -10,8 +10,8 @@ from impslam.recognition.verify import (
     MIN_SEEN,
     ClosureStrength,
     Support,
-    contradicted_share,
     judge,
+    share_in_free_space,
     verify,
 )
 from impslam.surfaces.surface_map import add, empty_surface_map
@@ -55,8 +55,8 @@ def test_contradicted_points_are_counted_on_either_side():
     for reference, query in ((bare, furnished), (furnished, bare)):
         known = empty_surface_map(40.0, 40.0, 20000)
         add(known, reference.features, HERE, 20.0)
-        assert 0.05 < contradicted_share(known, reference, query, HERE) < 0.3
-        assert contradicted_share(known, reference, reference, HERE) == 0.0
+        assert 0.05 < share_in_free_space(known, reference, query, HERE) < 0.3
+        assert share_in_free_space(known, reference, reference, HERE) == 0.0
 
 
 def test_what_the_reference_never_saw_has_no_effect():

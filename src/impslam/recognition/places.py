@@ -22,8 +22,8 @@ from impslam.recognition.verify import (
     MIN_MATCHED,
     ClosureStrength,
     Support,
-    contradicted_share,
     judge,
+    share_in_free_space,
     verify,
 )
 from impslam.surfaces.features import Features
@@ -200,7 +200,7 @@ class Recogniser:
 
     def _contradicted(self, query: Submap, pose: Array) -> float:
         assert self._reference is not None
-        return contradicted_share(self._known, self._reference, query, pose)
+        return share_in_free_space(self._known, self._reference, query, pose)
 
     def _load(self, reference: Submap) -> None:
         """Make the surface map of a reference, unless it is current."""

@@ -112,7 +112,7 @@ def verify(known: SurfaceMap, reference: Submap, query: Submap, pose: Array) -> 
     )
 
 
-def contradicted_share(known: SurfaceMap, reference: Submap, query: Submap, pose: Array) -> float:
+def share_in_free_space(known: SurfaceMap, reference: Submap, query: Submap, pose: Array) -> float:
     """Return the share of the points of either submap in the free space of the other, the larger one."""
     n = _evidence(known, reference, query, pose)
     return max(n.contradicted / max(len(query.features), 1), n.refuted / max(n.sample, 1))

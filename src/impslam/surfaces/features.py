@@ -17,8 +17,8 @@ Features: TypeAlias = np.ndarray[Any, np.dtype[np.float32]]
 The weight is 1 on a surface, 0.5 at its end, with neighbours on one side only, and 0 without a surface: the
 normal is then 0, or that of a wall that is seen obliquely. Rows are in beam order.
 
-A single point counts as on such a wall if a neighbouring beam ends nearer, and the line through both is
-oblique, as on a long wall. Beams beside a table leg go past it.
+A single point is taken for a part of such a wall if a neighbouring beam ends nearer, and the line through
+both is oblique, as on a long wall. Beams beside a table leg go past it.
 """
 
 NORMAL_RADIUS = (
@@ -153,7 +153,7 @@ def _normal(
 
 @kernel
 def leave_out_oblique(rows: Features) -> int:
-    """Move the features (n, 5) but those of walls seen obliquely to the front; return their number.
+    """Move the features (n, 5) to the front, except those of walls seen obliquely; return their number.
 
     The visible ends of such walls move with the robot; without odometry nothing outweighs that in a
     corridor.

@@ -26,7 +26,7 @@ MIN_NORMAL_COSINE = 0.6  # 53 degrees: normals farther apart belong to two surfa
 LONE_WEIGHT, MIXED_WEIGHT = (
     0.2,
     0.1,
-)  # weights of a point whose normal has none: its surfel's has none either, or only one of them has
+)  # weights of a point if neither it nor its surfel is on a surface, or only one of them
 _X, _Y, _NX, _NY, _COUNT, _WEIGHT, _X0, _Y0 = range(8)
 _INSIDE, _INLIERS, _SQUARES, _WEIGHTS = range(4)
 

@@ -1,6 +1,6 @@
 """A small made-up run: a robot that drives a circle in a square room with one column."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -91,10 +91,13 @@ class Scripted:
                 observer.follow(track, path)
 
     def _keyframe(self, result, sweeps):
-        none = np.zeros((3, 3))
+        none, grown = np.zeros((3, 3)), np.zeros(3)
+        if self._last is not None:
+            grown = np.maximum(0.0, np.diag(result.covariance - self._last.covariance))
+        motion = replace(Increment.none(result.stamp), covariance=np.diag(grown))
         seen = tuple(Observation("corner", np.zeros(2), np.eye(2)) for _ in result.matches)
         keyframe = Keyframe(
-            self._count, result.stamp, Increment.none(result.stamp), result.odometry, none[0],
+            self._count, result.stamp, motion, result.odometry, none[0],
             none, sweeps, 0, result.scan, observations=seen,
         )  # fmt: skip
         revision = Revision(

@@ -26,11 +26,17 @@ from impslam.types import Increment, Match, Observation
 STILL = Increment.none(0.0)
 
 
-def watch(spreads, cuts, *, valid=None, reasons=None, located=None, monitor=None):
-    """Let a robot drive 1 m a scan with these position variances; return the monitor's health."""
+def watch(spreads, cuts, *, valid=None, reasons=None, located=None, monitor=None, moved=None):
+    """Let a robot drive 1 m a scan with these position variances; return the monitor's health.
+
+    `moved` are those of the motion since the keyframe, if they are not the same.
+    """
     n = len(spreads)
     poses = np.column_stack((np.arange(n), np.zeros((n, 2)))).astype(float)
-    covariances = np.array(spreads)[:, None, None] * np.full((3, 3), 0.5)
+    covariances, motions = (
+        np.array(variances)[:, None, None] * np.full((3, 3), 0.5)
+        for variances in (spreads, moved or spreads)
+    )
     valid = np.ones((n, 3), bool) if valid is None else valid
     reasons = np.array([NONE] * n if reasons is None else reasons, np.int8)
     located = np.zeros(n, bool) if located is None else located
@@ -43,19 +49,26 @@ def watch(spreads, cuts, *, valid=None, reasons=None, located=None, monitor=None
             reasons=reasons[rows],
             amounts=0.1 * reasons[rows],
             located=located[rows],
+            T_anchor_base=poses[rows],
+            covariance=motions[rows],
         )
         path = PathRows(10.0 + np.arange(n)[rows], poses[rows], covariances[rows], poses[rows])
         monitor.follow(track, path)
     return monitor.health
 
 
-def revise(monitor, ids, **facts):
-    """Let a keyframe, in which nothing is seen, revise the poses of keyframes."""
+def revise(monitor, ids, motion=None, variance=0.0, **facts):
+    """Let a keyframe, in which nothing is seen, revise the poses of keyframes.
+
+    With a motion, it is not located; `variance` is that of its x and y in the map.
+    """
     n = len(ids)
     keyframe = SimpleNamespace(
-        scan=None, reason=NONE, amount=0.0, located=True, lost=False, observations=(), motion=STILL
-    )
-    path = PathRows(np.array([14.0]), np.zeros((1, 3)), np.zeros((1, 3, 3)), np.zeros((1, 3)))
+        scan=None, reason=NONE, amount=0.0, located=motion is None, lost=False, observations=(),
+        motion=motion or STILL,
+    )  # fmt: skip
+    spread = np.diag([variance, variance, 0.0])[None]
+    path = PathRows(np.array([14.0]), np.zeros((1, 3)), spread, np.zeros((1, 3)))
     revision = Revision(np.array(ids), np.zeros((n, 3)), np.zeros((n, 3, 3)), **facts)
     monitor.revise(keyframe, revision, path)
 
@@ -156,6 +169,32 @@ def test_a_small_motion_far_from_the_start_is_no_growth():
     for i in range(20):
         match_landmarks(monitor, 100.0 + 0.1 * i, walls=False, driven=1e-4)
     assert monitor.health.counts()["DEGRADED"] == 0
+
+
+def drive(monitor, heading_variance, steps, variance=100.0):
+    """Let a robot drive keyframes 1 m apart, unmatched, while its variance in the map changes much."""
+    motion = Increment(0.0, np.array([1.0, 0.0, 0.0]), np.diag([0.0, 0.0, heading_variance]))
+    for k in range(steps):
+        revise(monitor, [4], motion=motion, variance=variance + k)
+    return monitor.health.states.tolist()
+
+
+def test_the_growth_is_that_of_the_motion_since_the_last_match():
+    assert drive(HealthMonitor(), heading_variance=0.0, steps=9) == [0] * 9
+    # k steps turn by errors of variance v each: the position gains v * (1 + 4 + ... + (k - 1)^2)
+    k = np.arange(9)
+    grown = 0.0025 * np.array([np.sum(np.arange(n) ** 2) for n in k]) > 0.25**2
+    assert drive(HealthMonitor(), heading_variance=0.0025, steps=9) == [0, *grown[1:].astype(int)]
+    assert grown.any()
+    assert drive(HealthMonitor(), heading_variance=0.0025, steps=9, variance=1.0)[-1] == 1
+
+
+def test_a_match_of_a_track_restarts_the_growth_at_the_keyframe_before_it():
+    monitor = HealthMonitor()
+    drive(monitor, heading_variance=0.0025, steps=9)
+    located = np.array([False, True, False])
+    health = watch([300.0, 300.0, 310.0], (), located=located, monitor=monitor, moved=[0.0] * 3)
+    assert health.states[-3:].tolist() == [1, 0, 0]
 
 
 def test_a_place_assumed_from_odometry_is_reported_until_one_is_recognised():

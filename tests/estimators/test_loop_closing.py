@@ -9,7 +9,7 @@ from impslam.estimators.loop_closing import (
     SAFE_WINDOW,
     LoopCloser,
     LoopSearch,
-    _Pending,
+    PendingClosure,
 )
 from impslam.estimators.pose_graph import PoseGraph
 from impslam.geometry.se2 import between
@@ -40,7 +40,7 @@ def found(graph, j, verdict=ClosureStrength.STRONG, off=(0.0, 0.0, 0.0), n=20):
     support = Support(0.8, 0.9, 0.9, 500)
     pose = np.array(off, float)
     closure = Closure(pose, INFORMATION, support, verdict, 0.9, -np.inf)
-    return _Pending(j - n, j, closure, SPACING * j)
+    return PendingClosure(j - n, j, closure, SPACING * j)
 
 
 def taken(window, *rows):

@@ -10,9 +10,19 @@ from tests.filters.worlds import MODELS
 from tests.numeric import wrapped
 
 from impslam.estimators.graph import Graph
+from impslam.estimators.loop_closing import Comparison, LoopCloser, LoopSearch, PendingClosure
+from impslam.estimators.sessions import (
+    MIN_CLOSURES,
+    MIN_SEARCH_DISTANCE,
+    MIN_SURPRISING_CLOSURES,
+    SessionPlacer,
+)
 from impslam.geometry.se2 import between
+from impslam.health import ELSEWHERE
 from impslam.map import Map
 from impslam.map_builder import MapBuilder, blended
+from impslam.recognition.places import Closure
+from impslam.recognition.verify import ClosureStrength, Support
 
 TRUTH = way(*LAP[:4])
 CUT = 60
@@ -134,6 +144,76 @@ def test_a_session_is_located_in_the_known_area(lap):
     assert made.counts()["sessions not found"] == 0
     off = np.hypot(*(made.settle().poses - AGAIN)[:, :2].T)
     assert off[cut:].max() < 0.15
+
+
+def broken(frame, off=(0.0, 0.0, 0.0)):
+    """Return a keyframe whose scan does not fit; odometry's motion to it is wrong by `off` (3,)."""
+    motion = replace(frame.motion, d_pose=frame.motion.d_pose + np.array(off))
+    return replace(frame, motion=motion, lost=True, reason=ELSEWHERE)
+
+
+def test_the_place_by_odometry_takes_two_closures(lap):
+    cut = len(way(*LAP))
+    made = begun(AGAIN[0])
+    revisions = driven(made, [*lap[:cut], broken(lap[cut]), *lap[cut + 1 :]])
+    found = next(k for k in range(cut, len(lap)) if np.all(revisions[k].placed))
+    assert (
+        AGAIN[found, 0] - AGAIN[cut, 0] < 3.5 * made.spacing
+    )  # m; its third node follows the second
+    assert not revisions[-1].assumed
+    off = np.hypot(*(made.settle().poses - AGAIN)[:, :2].T)
+    assert off[cut:].max() < 0.1
+
+
+def test_a_wrong_place_by_odometry_is_not_recognised(lap):
+    """Wheels spun for 3 m: the robot is found in the known area, where it is."""
+    cut = len(way(*LAP))
+    made = begun(AGAIN[0])
+    slipped = broken(lap[cut], (3.0, 0.0, 0.0))
+    revisions = driven(made, [*lap[:cut], slipped, *lap[cut + 1 :]])
+    assert np.all(revisions[-1].placed)
+    off = np.hypot(*(made.settle().poses - AGAIN)[:, :2].T)
+    assert off[cut:].max() < 0.1
+
+
+def test_along_a_bare_corridor_no_place_is_recognised():
+    """It looks the same at any place, so that of odometry is assumed after a long search."""
+    truth = way((0.0, 0.0), (40.0, 0.0))
+    frames = keyframes(room(-2.0, 62.0, -1.2, 1.2), truth)
+    cut = 30
+    made = begun(truth[0])
+    revisions = driven(made, [*frames[:cut], broken(frames[cut]), *frames[cut + 1 :]])
+    driven_m = truth[:, 0] - truth[cut, 0]
+    placed = [bool(np.all(r.placed)) for r in revisions]
+    assert not any(
+        p for p, d in zip(placed, driven_m, strict=True) if 0.0 <= d < MIN_SEARCH_DISTANCE
+    )
+    assert placed[-1]
+    assert revisions[-1].assumed
+
+
+def compared(offset, found):
+    """Return a comparison of a node with the map at its place by odometry."""
+    support = Support(0.8, 0.9, 0.9, 500)
+    closure = Closure(np.zeros(3), FIRM, support, ClosureStrength.STRONG, 0.9, -np.inf)
+    return Comparison(offset, PendingClosure(0, 9, closure, 0.0) if found else None)
+
+
+@pytest.mark.parametrize(
+    ("comparisons", "required"),
+    [
+        ([(1.0, False)], MIN_CLOSURES),
+        ([(1.0, True), (2.0, True), (1.0, False)], np.inf),
+        ([(np.inf, False)], MIN_SURPRISING_CLOSURES),
+    ],
+    ids=["contradicted", "agreeing", "unknown"],
+)
+def test_a_place_elsewhere_takes_more_while_odometry_may_be_right(comparisons, required):
+    placer = SessionPlacer(LoopCloser(LoopSearch()))
+    assert placer._required() == MIN_CLOSURES  # odometry does not tell a place
+    placer.begin(9, np.zeros(3), np.eye(3))
+    placer._compared = [compared(*row) for row in comparisons]
+    assert placer._required() == required
 
 
 def test_a_session_elsewhere_is_not_located(lap):

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from copy import copy
 from dataclasses import replace
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
 from pydantic import PrivateAttr
@@ -24,32 +24,20 @@ from impslam.estimators.keyframe_log import (
     refined,
     revised,
 )
-from impslam.estimators.loop_closing import LoopCloser, LoopSearch, Place
+from impslam.estimators.loop_closing import LoopCloser, LoopSearch
 from impslam.estimators.map_scale import landmark_with_scale, with_scale
 from impslam.estimators.pose_graph import PoseGraph
 from impslam.estimators.restoring import MIN_SIGMA, restored
-from impslam.estimators.session_finder import SessionFinder
+from impslam.estimators.sessions import SessionPlacer
 from impslam.estimators.thinning import Thinner
 from impslam.geometry.chain import advance
-from impslam.geometry.se2 import between, compose, compose_uncertain
+from impslam.geometry.se2 import compose, compose_uncertain
 from impslam.health import ELSEWHERE
 from impslam.landmarks.base import LandmarkModel
 from impslam.map import Keyframe, Map, Revision
 from impslam.noise import UNKNOWN
 from impslam.tracking.base import KeyframeGate
 from impslam.types import Array, Edges, Increment, Landmark, Observation
-
-MIN_SEARCH_DISTANCE = 20.0
-"""m driven before an unlocated session may be joined by odometry: six times the length of a query."""
-MAX_CHECKED_NODES = 12  # 30 m of driving that the map must not contradict
-
-
-class _Break(NamedTuple):
-    """A place where scans stopped fitting: the first node after it, and odometry's motion (3,) to it."""
-
-    node: int
-    motion: Array
-    covariance: Array
 
 
 @register("graph")
@@ -78,12 +66,9 @@ class Graph(Estimator):
     _graph: PoseGraph = PrivateAttr(default_factory=PoseGraph)
     _closer: LoopCloser = PrivateAttr()
     _thinner: Thinner = PrivateAttr(default_factory=Thinner)
-    _finder: SessionFinder = PrivateAttr()
+    _sessions: SessionPlacer = PrivateAttr()
     _keys: KeyframeLog = PrivateAttr(default_factory=KeyframeLog)
     _since: tuple[Array, Array] = PrivateAttr()
-    _breaks: list[_Break] = PrivateAttr(default_factory=list)
-    _assumed: int | None = PrivateAttr(default=None)
-    """The first node placed by odometry alone after the robot got lost; None once a place is recognised."""
     _start: Array = PrivateAttr()
     _models: Mapping[str, LandmarkModel] = PrivateAttr()
     _known: Map | None = PrivateAttr(None)
@@ -106,8 +91,8 @@ class Graph(Estimator):
             self._known = known if frozen else None
             self._keys, self._graph, self._since = restored(known, self.spacing, frozen=frozen)
             self._thinner.resume(self._keys, frozen=frozen)
-        self._finder = SessionFinder(hint)
         self._closer = LoopCloser(self.loops if self._known is None else _everywhere(self.loops))
+        self._sessions = SessionPlacer(self._closer, hint)
 
     def add(self, keyframe: Keyframe) -> Revision:
         """Process a keyframe; see `Estimator.add`."""
@@ -126,8 +111,8 @@ class Graph(Estimator):
             except NumericalError as error:
                 failed = f"no loop is closed at {keyframe.stamp:.3f} s: {error}"
                 refused = "; ".join(filter(None, (refused, failed)))
-        facts: dict[str, Any] = {"refused": refused, "dropped": dropped}
-        facts["assumed"] = self._assumed is not None
+        assumed = self._sessions.is_assumed
+        facts: dict[str, Any] = {"refused": refused, "dropped": dropped, "assumed": assumed}
         if moved:
             return replace(self._revise_all(self._graph), **facts)
         pose, covariance = compose_uncertain(
@@ -137,13 +122,9 @@ class Graph(Estimator):
             np.array([keyframe.id]),
             pose[None],
             covariance[None],
-            placed=not self._is_pending(),
+            placed=bool(self._graph.roots[-1] == 0),
             **facts,
         )
-
-    def _is_pending(self) -> bool:
-        """Return whether the newest keyframe is in a session that is not placed in the map."""
-        return bool(self._graph.roots[-1] != 0)
 
     def _extend_chain(self, keyframe: Keyframe, tracked: Increment) -> None:
         """Extend the chain by a keyframe, or begin a session with it.
@@ -157,9 +138,9 @@ class Graph(Estimator):
             return
         start = compose(self._graph.poses[-1], self._since[0]) if len(self._graph) else self._start
         self._keys.add(keyframe, start)
-        if keyframe.reason == ELSEWHERE and is_finite(tracked):
-            motion = compose_uncertain(*self._since, tracked.d_pose, tracked.covariance)
-            self._breaks.append(_Break(len(self._graph), *motion))
+        motion, told = compose_uncertain(*self._since, tracked.d_pose, tracked.covariance)
+        is_told = keyframe.reason == ELSEWHERE and is_finite(tracked)
+        self._sessions.begin(len(self._graph), motion if is_told else None, told)
         self._graph.add_root(self._keys.chain[-1], covariance)
         self._since = np.zeros(3), np.zeros((3, 3))
 
@@ -184,67 +165,20 @@ class Graph(Estimator):
 
         Closures that leave the graph without a solution are removed, else no later one would have any.
         """
-        before, assumed = self._graph.closures, self._assumed
+        before, assumed = self._graph.closures, self._sessions.is_assumed
         if node < 1:
             return False
-        moved = self._closer.search(node, self._keys, self._graph) or self._locate_session(node)
+        parts = node, self._keys, self._graph
+        moved = self._closer.search(*parts) or self._sessions.place(*parts)
         if moved:
             try:
                 self._graph.solve()
             except NumericalError:
                 self._graph.remove_closures(self._graph.closures - before)
                 raise
-        new = self._graph.closures - before
-        if new and assumed is not None:
-            edges = self._graph.edges
-            if np.minimum(edges.i[-new:], edges.j[-new:]).min() < assumed:  # a place known before
-                self._assumed = None
+        if assumed:
+            self._sessions.confirm(self._graph.closures - before, self._graph)
         return moved
-
-    def _locate_session(self, node: int) -> bool:
-        """Try to locate the pending session of the newest node; return whether it is placed."""
-        keys, graph = self._keys, self._graph
-        if not self._is_pending():
-            return False
-        guess = self._finder.find(keys, graph)
-        if guess is not None:
-            pose = compose(guess.pose, between(keys.chain[-1], keys.chain[keys.nodes[node]]))
-            place = Place(node, pose, guess.likely, guess.hinted)
-            if self._closer.tie(place, keys, graph):
-                self._join_breaks()
-                return True
-        if not self._may_use_odometry(node):
-            return False
-        first = self._breaks[0].node
-        self._join_breaks()
-        if self._is_pending():
-            return False
-        self._assumed = first if self._assumed is None else self._assumed
-        return True
-
-    def _may_use_odometry(self, node: int) -> bool:
-        """Return whether a session that could not be located may be joined to the map by odometry.
-
-        It may after a long search, unless the map contradicts the scans of its nodes at the resulting
-        poses: then the view has changed, not the place.
-        """
-        keys, graph = self._keys, self._graph
-        driven = keys.distance[keys.nodes]
-        if not self._breaks or driven[node] - driven[self._breaks[-1].node] < MIN_SEARCH_DISTANCE:
-            return False
-        nodes = range(max(self._breaks[-1].node, node - MAX_CHECKED_NODES), node)
-        begin = driven[self._breaks[-1].node]
-        contradicted = sum(
-            self._closer.contradicts(n, float(driven[n] - begin), keys, graph) for n in nodes
-        )
-        return 2 * contradicted < len(nodes)
-
-    def _join_breaks(self) -> None:
-        """Join sessions by the motions from odometry, robustly: wrong ones have little weight."""
-        for gap in self._breaks:
-            information = np.asarray(np.linalg.inv(gap.covariance))
-            self._graph.close(gap.node - 1, gap.node, gap.motion, information)
-        self._breaks = []
 
     def _revise_all(self, graph: PoseGraph) -> Revision:
         """Return the poses of all keyframes according to a graph."""

@@ -15,7 +15,7 @@ import numpy as np
 
 from impslam.estimators.keyframe_log import KeyframeLog, revised
 from impslam.estimators.pose_graph import PoseGraph
-from impslam.geometry.se2 import between, compose
+from impslam.geometry.se2 import between
 from impslam.parameters import Parameters, parameter
 from impslam.recognition.consistency import Relation, consistent
 from impslam.recognition.correlative import Window
@@ -33,8 +33,6 @@ MIN_REFERENCES = 4
 PASS_DISTANCE = 6.0  # m: keyframes closer than this along the drive are of the same pass
 SAFE_WINDOW = 0.8  # m: so small a window contains only one place
 MIN_SUPPORT = 3  # sum of verdicts that agree: a strong and another one, or three weak ones
-SAME_PLACE = 1.0, 0.3  # m, rad: closer places are the same
-MIN_TIES = 3  # closures that place a session: over some 7 m, corners and furniture differ
 CONFIRMATION_DISTANCE = 12.0  # m driven within which a second closure has to agree
 
 
@@ -69,7 +67,7 @@ class LoopSearch(Parameters):
     )
 
 
-class _Pending(NamedTuple):
+class PendingClosure(NamedTuple):
     """A closure between nodes i and j that awaits confirmation, found after `distance` m."""
 
     i: int
@@ -77,31 +75,28 @@ class _Pending(NamedTuple):
     closure: Closure
     distance: float
 
+    @property
+    def is_strong(self) -> bool:
+        """Whether it needs no others that agree."""
+        return self.closure.verdict == ClosureStrength.STRONG
 
-class Place(NamedTuple):
-    """A possible place of a node in the map.
+
+class Comparison(NamedTuple):
+    """A node of a pending session, compared with the map at a pose.
 
     Attributes
     ----------
-    node : the node
-    pose : (3,) the best pose
-    likely : whether it is likely, among the places found
-    hinted : whether a user gave the area
+    offset : m to the nearest node of the map; inf if nothing can be compared
+    closure : of the two, if there is one
     """
 
-    node: int
-    pose: Array
-    likely: bool
-    hinted: bool
+    offset: float
+    closure: PendingClosure | None
 
-
-class _Attempt(NamedTuple):
-    """A node that may be at `guess` (3,) relative to node u, `distance` m away along the graph."""
-
-    u: int
-    node: int
-    guess: Array
-    distance: float
+    @property
+    def contradicts(self) -> bool:
+        """Whether the node is not at that pose. Unknown areas of the map contradict nothing."""
+        return self.closure is None and self.offset < 0.5 * REFERENCE_RADIUS
 
 
 class LoopCloser:
@@ -109,8 +104,7 @@ class LoopCloser:
 
     def __init__(self, search: LoopSearch) -> None:
         self._search, self.recogniser = search, Recogniser(search.overlap)
-        self._pending: list[_Pending] = []
-        self._ties: list[_Pending] = []
+        self._pending: list[PendingClosure] = []
 
     def copy(self) -> LoopCloser:
         """Return one that continues the search on a copy of the graph."""
@@ -138,63 +132,36 @@ class LoopCloser:
             u = int(np.argmin(rank))
             if rank[u] == np.inf or query is None:
                 return False
-            guess = between(graph.poses[u], graph.poses[node])
-            closure = self._try(_Attempt(u, node, guess, float(paths[u])), query, keys, graph)
-            if closure is not None:
-                return self._accept(
-                    _Pending(u, node, closure, float(driven[node])), graph, windows[u]
-                )
+            reference = self._reference(u, node, keys, graph)
+            if reference is not None:
+                guess = between(graph.poses[u], graph.poses[node])
+                window = self.window(float(paths[u]))
+                closure = self.recogniser.close(reference, query, guess, window)
+                if closure is not None:
+                    new = PendingClosure(u, node, closure, float(driven[node]))
+                    return self._accept(new, graph, windows[u])
             rank[: len(driven)][np.abs(driven - driven[u]) < PASS_DISTANCE] = np.inf
         return False
 
-    def tie(self, place: Place, keys: KeyframeLog, graph: PoseGraph) -> bool:
-        """Search the closure of a node of a pending session at a possible place in the map.
-
-        Return whether the session is joined. That takes `MIN_TIES` consecutive closures that agree: the
-        robot may be outside the map, where other rooms and corridors look similar. A place elsewhere, or
-        one that cannot be verified, starts the count again. In an area that a user gave, one is enough.
-        """
-        if not all(_is_consistent(tie, place, graph) for tie in self._ties):
-            self._ties = []
-        if not place.likely:
-            return False
-        new = self._tie(place.node, place.pose, keys, graph)
-        if new is None or not all(_agree(tie, new, graph) for tie in self._ties):
-            self._ties = []
-        if new is not None:
-            self._ties.append(new)
-        if len(self._ties) < (1 if place.hinted else MIN_TIES):
-            return False
-        for tie in self._ties:
-            _add(tie, graph)
-        self._ties = []
-        return True
-
-    def contradicts(self, node: int, distance: float, keys: KeyframeLog, graph: PoseGraph) -> bool:
-        """Return whether the map contradicts the scans of a session's node at its pose by odometry.
-
-        The node is `distance` m from the map. Unknown areas of the map contradict nothing.
-        """
-        offsets = np.hypot(*(graph.poses[:, :2] - graph.poses[node, :2]).T)
-        offsets[graph.roots != 0] = np.inf
-        u, query = int(np.argmin(offsets)), self._query(node, keys)
-        if query is None or offsets[u] > 0.5 * REFERENCE_RADIUS:
-            return False
-        guess = between(graph.poses[u], graph.poses[node])
-        return self._try(_Attempt(u, node, guess, distance), query, keys, graph) is None
-
-    def _tie(self, node: int, pose: Array, keys: KeyframeLog, graph: PoseGraph) -> _Pending | None:
-        """Return the closure of a node with the nearest one in the map, if there is one."""
+    def compare(
+        self, node: int, pose: Array, window: Window, keys: KeyframeLog, graph: PoseGraph
+    ) -> Comparison:
+        """Compare a node of a pending session with the map in a window around a pose (3,)."""
         offsets = np.hypot(*(graph.poses[:, :2] - pose[:2]).T)
         offsets[graph.roots != 0] = np.inf
         u, query = int(np.argmin(offsets)), self._query(node, keys)
         if query is None or offsets[u] > REFERENCE_RADIUS:
-            return None
-        attempt = _Attempt(u, node, between(graph.poses[u], pose), 0.0)
-        closure = self._try(attempt, query, keys, graph)
-        if closure is None or closure.verdict != ClosureStrength.STRONG:
-            return None
-        return _Pending(u, node, closure, float(keys.distance[keys.nodes[node]]))
+            return Comparison(math.inf, None)
+        reference = self._reference(u, node, keys, graph)
+        if reference is None:
+            return Comparison(math.inf, None)
+        guess = between(graph.poses[u], pose)
+        closure = self.recogniser.close(reference, query, guess, window)
+        if closure is None:
+            differs = self.recogniser.outcome in ("no peak", "contradicted")
+            return Comparison(float(offsets[u]) if differs else math.inf, None)
+        driven = float(keys.distance[keys.nodes[node]])
+        return Comparison(float(offsets[u]), PendingClosure(u, node, closure, driven))
 
     def _query(self, node: int, keys: KeyframeLog) -> Submap | None:
         """Return the scans around a node as a submap."""
@@ -202,11 +169,8 @@ class LoopCloser:
         near = np.flatnonzero(np.abs(keys.distance - keys.distance[row]) <= self._search.around)
         return _submap(near, keys.chain[near], keys.chain[row], keys, (QUERY_CELL, QUERY_RANGE))
 
-    def _try(
-        self, attempt: _Attempt, query: Submap, keys: KeyframeLog, graph: PoseGraph
-    ) -> Closure | None:
-        """Return the closure between two nodes, if there is one."""
-        s, (u, node, guess, distance) = self._search, attempt
+    def _reference(self, u: int, node: int, keys: KeyframeLog, graph: PoseGraph) -> Submap | None:
+        """Return what was seen around node u before another one as a submap, if it was seen enough."""
         near = graph.path_lengths(u) < REFERENCE_DISTANCE
         near &= np.hypot(*(graph.poses[:, :2] - graph.poses[u, :2]).T) < REFERENCE_RADIUS
         chosen = near[keys.node_before]
@@ -217,30 +181,30 @@ class LoopCloser:
             return None
         rows = rows[:: max(1, len(rows) // MAX_REFERENCES)]
         poses = revised(keys, graph, rows)
-        extent = (REFERENCE_CELL, REFERENCE_RANGE)
-        reference = _submap(rows, poses, graph.poses[u], keys, extent)
-        if reference is None:
-            return None
-        radius = min(s.least + s.drift * distance, s.most)
-        turn = min(s.least_turn + s.turn_drift * distance, s.most_turn)
-        return self.recogniser.close(reference, query, guess, Window(radius, radius, turn))
+        return _submap(rows, poses, graph.poses[u], keys, (REFERENCE_CELL, REFERENCE_RANGE))
 
-    def _accept(self, new: _Pending, graph: PoseGraph, window: float) -> bool:
+    def window(self, distance: float) -> Window:
+        """Return the window of the possible drift over a distance in m."""
+        s = self._search
+        radius = min(s.least + s.drift * distance, s.most)
+        return Window(radius, radius, min(s.least_turn + s.turn_drift * distance, s.most_turn))
+
+    def _accept(self, new: PendingClosure, graph: PoseGraph, window: float) -> bool:
         """Add a closure and those that agree with it to the graph, or keep it pending."""
         if window <= SAFE_WINDOW:
             if new.closure.verdict != ClosureStrength.STRONG:
                 return False
-            return _add(new, graph)
+            return add(new, graph)
         self._pending = [
             p for p in self._pending if new.distance - p.distance <= CONFIRMATION_DISTANCE
         ]
-        agreeing = [p for p in self._pending if _agree(p, new, graph)]
+        agreeing = [p for p in self._pending if agree(p, new, graph)]
         support = sum(int(p.closure.verdict) for p in (*agreeing, new))
         if not agreeing or support < MIN_SUPPORT:
             self._pending.append(new)
             return False
         self._pending = []
-        added = [_add(p, graph) for p in (*agreeing, new)]
+        added = [add(p, graph) for p in (*agreeing, new)]
         return any(added)
 
 
@@ -253,7 +217,7 @@ def _submap(
     return gather(views, poses[seen], frame, *extent) if views else None
 
 
-def _agree(one: _Pending, other: _Pending, graph: PoseGraph) -> bool:
+def agree(one: PendingClosure, other: PendingClosure, graph: PoseGraph) -> bool:
     """Return whether two closures are consistent, up to the drift between their ends."""
     distance = abs(other.distance - one.distance)
     sigma, turn_sigma = 0.05 + 0.01 * distance, 0.01 + 0.002 * distance
@@ -263,17 +227,10 @@ def _agree(one: _Pending, other: _Pending, graph: PoseGraph) -> bool:
     return consistent(_relation(one), _relation(other), references, queries)
 
 
-def _is_consistent(tie: _Pending, place: Place, graph: PoseGraph) -> bool:
-    """Return whether a place is consistent with a closure of the same session."""
-    tied = compose(graph.poses[tie.i], tie.closure.pose)
-    expected = compose(tied, between(graph.poses[tie.j], graph.poses[place.node]))
-    d = between(expected, place.pose)
-    return bool(math.hypot(d[0], d[1]) < SAME_PLACE[0] and abs(d[2]) < SAME_PLACE[1])
-
-
-def _relation(pending: _Pending) -> Relation:
+def _relation(pending: PendingClosure) -> Relation:
     return Relation(pending.closure.pose, np.asarray(np.linalg.inv(pending.closure.information)))
 
 
-def _add(pending: _Pending, graph: PoseGraph) -> bool:
+def add(pending: PendingClosure, graph: PoseGraph) -> bool:
+    """Add a closure to the graph; return whether it must be solved."""
     return graph.close(pending.i, pending.j, pending.closure.pose, pending.closure.information)

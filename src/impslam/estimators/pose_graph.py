@@ -100,14 +100,16 @@ class PoseGraph:
         information = np.asarray(np.linalg.inv(covariance))
         self._add(len(self) - 2, len(self) - 1, T, information, math.inf, length)
 
-    def close(self, i: int, j: int, T_i_j: Array, information: Array) -> bool:
-        """Add a closure; return whether the graph must be solved.
+    def close(
+        self, i: int, j: int, T_i_j: Array, information: Array, length: float = CLOSURE_LENGTH
+    ) -> bool:
+        """Add a closure, as certain as the drift over `length` m; return whether the graph must be solved.
 
         The first closure between two sessions moves the later one accordingly.
         """
         joins = self._join(i, j, T_i_j)
         self.closures += 1
-        self._add(*self._between_hosts(i, j, T_i_j, information), KERNEL, CLOSURE_LENGTH)
+        self._add(*self._between_hosts(i, j, T_i_j, information), KERNEL, length)
         d = between(between(self.poses[i], self.poses[j]), T_i_j)
         return joins or bool(math.hypot(d[0], d[1]) > MIN_SHIFT[0] or abs(d[2]) > MIN_SHIFT[1])
 

@@ -1,7 +1,7 @@
 """Locate a pending session, which no edge connects to the map yet.
 
 The scans of its last metres are searched for everywhere in the map. The result is a guess: the loop closer
-of the graph verifies it, and accepts it once several agree.
+of the graph verifies it, and `sessions` accepts it once several agree.
 """
 
 from __future__ import annotations
@@ -25,7 +25,14 @@ HINT_DRIFT = 0.1  # m/m, drift since the hinted place
 
 
 class Guess(NamedTuple):
-    """A possible pose (3,) in the map, whether it is likely, and whether a user gave the area."""
+    """A possible pose (3,) of a node in the map.
+
+    Attributes
+    ----------
+    pose : (3,) the best pose
+    likely : whether it is likely, among the places found
+    hinted : whether a user gave the area
+    """
 
     pose: Array
     likely: bool
@@ -40,8 +47,8 @@ class SessionFinder:
         self._session = -1
         self._map: Relocaliser | None = None
 
-    def find(self, keys: KeyframeLog, graph: PoseGraph) -> Guess | None:
-        """Return a guess of the newest keyframe's pose in the map, if there is one."""
+    def find(self, node: int, keys: KeyframeLog, graph: PoseGraph) -> Guess | None:
+        """Return a guess of a node's pose in the map from the newest scans, if there is one."""
         from impslam.recognition.relocalisation import (  # noqa: PLC0415  few runs need it
             Relocaliser,
             query,
@@ -66,7 +73,8 @@ class SessionFinder:
         if not answer.hypotheses:
             return None
         best = answer.hypotheses[0]
-        return Guess(best.pose, best.odds >= MIN_ODDS, near is not None)
+        pose = compose(best.pose, between(keys.chain[-1], keys.chain[keys.nodes[node]]))
+        return Guess(pose, best.odds >= MIN_ODDS, near is not None)
 
     def _near(self, keys: KeyframeLog) -> Near | None:
         """Return the area of the newest keyframe according to the hint, if there is one."""

@@ -105,11 +105,13 @@ class Recogniser:
     Attributes
     ----------
     counts : number of attempts and of their outcomes
+    outcome : of the last attempt
     """
 
     def __init__(self, overlap: float = MIN_MATCHED) -> None:
         self._overlap = overlap
         self.counts = dict.fromkeys(OUTCOMES, 0)
+        self.outcome = ""
         self._memory, self._known = Memory(), empty_surface_map(40.0, 40.0, 20000)
         self._reference: Submap | None = None
         self._pyramid: Pyramid | None = None
@@ -133,7 +135,7 @@ class Recogniser:
             return None
         if self._is_unlikely(query, guess, window, closure):
             return self._reject("unlikely")
-        self.counts["found"] += 1
+        self._count("found")
         return closure
 
     def _is_unlikely(self, query: Submap, guess: Array, window: Window, closure: Closure) -> bool:
@@ -221,8 +223,12 @@ class Recogniser:
         return self._pyramid
 
     def _reject(self, reason: str) -> Closure | None:
-        self.counts[reason] += 1
+        self._count(reason)
         return None
+
+    def _count(self, outcome: str) -> None:
+        self.counts[outcome] += 1
+        self.outcome = outcome
 
 
 def _cleared(known: SurfaceMap, low: Array, high: Array, surfels: int) -> SurfaceMap:

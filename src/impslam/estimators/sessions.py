@@ -1,0 +1,206 @@
+"""Place pending sessions, which no edge connects to the map yet.
+
+A session begins where a map is continued, and where scans stop fitting the map. Either the robot has been
+carried elsewhere, or only its view has changed and odometry still tells where it is. The scans of the
+session's nodes are compared with the map at both places: wherever they are found in the whole map, and
+where odometry expects them. The place by odometry takes fewer closures that agree, and one elsewhere is not
+accepted while the map agrees with odometry.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from impslam.estimators.keyframe_log import KeyframeLog
+from impslam.estimators.loop_closing import Comparison, LoopCloser, PendingClosure, add, agree
+from impslam.estimators.pose_graph import PoseGraph
+from impslam.estimators.session_finder import SessionFinder
+from impslam.geometry.se2 import between, compose
+from impslam.recognition.correlative import Window
+from impslam.types import Array
+
+SAME_PLACE = 1.0, 0.3  # m, rad: closer places are the same
+MIN_CLOSURES = 3  # that place a session: over some 7 m, corners and furniture differ
+MIN_EXPECTED_CLOSURES = 2  # at the place by odometry: a carried robot is seldom at a similar one
+MIN_SURPRISING_CLOSURES = 6  # elsewhere, although the map does not contradict odometry
+MAX_SIGMA = 0.1  # m: along a bare corridor, scans agree with any place
+BREAK_DRIFT = 0.3
+"""m/m and rad of drift after a break: scans are matched with the first ones of a session, which may show
+little but the crowd that covered the lidar."""
+BREAK_LENGTH = 40.0  # m whose drift is as large: loops are searched for in windows that are so wide
+MIN_SEARCH_DISTANCE = 20.0
+"""m driven before an unlocated session may be joined by odometry: six times the length of a query."""
+MAX_CHECKED_NODES = 12  # 30 m of driving that the map must not contradict
+
+
+class _Break(NamedTuple):
+    """A place where scans stopped fitting: the first node after it, and odometry's motion (3,) to it."""
+
+    node: int
+    motion: Array
+    covariance: Array
+
+
+class SessionPlacer:
+    """Places one pending session after the other; `hint` is the approximate start of the first one."""
+
+    def __init__(self, closer: LoopCloser, hint: Array | None = None) -> None:
+        self._closer, self._finder = closer, SessionFinder(hint)
+        self._breaks: list[_Break] = []
+        self._compared: list[Comparison] = []  # at the places by odometry, since the last break
+        self._closures: list[PendingClosure] = []
+        self._assumed: int | None = None
+
+    @property
+    def is_assumed(self) -> bool:
+        """Whether nodes are placed by odometry alone, and no earlier place is recognised since."""
+        return self._assumed is not None
+
+    def begin(self, node: int, motion: Array | None, covariance: Array) -> None:
+        """Begin a session at a node; `motion` (3,) from the node before is odometry's, if there is any."""
+        self._compared, self._closures = [], []
+        if motion is not None:
+            self._breaks.append(_Break(node, motion, covariance))
+
+    def place(self, node: int, keys: KeyframeLog, graph: PoseGraph) -> bool:
+        """Try to place the newest session by one of its nodes; return whether it is joined to the map."""
+        if graph.roots[node] == 0 or graph.roots[node] != graph.roots[-1]:
+            return False
+        if self._is_recognised(node, keys, graph):
+            for closure in self._closures:
+                add(closure, graph)
+            self._join_breaks(graph)
+            return True
+        if not self._may_assume_odometry(node, keys):
+            return False
+        first = self._breaks[0].node
+        self._join_breaks(graph)
+        if graph.roots[node] != 0:
+            return False
+        self._assumed = first if self._assumed is None else self._assumed
+        return True
+
+    def confirm(self, new: int, graph: PoseGraph) -> None:
+        """Consider the newest closures: one with a node from before the break confirms odometry."""
+        edges = graph.edges
+        ends = np.minimum(edges.i, edges.j)[len(edges.i) - new :]
+        if self._assumed is not None and (ends < self._assumed).any():
+            self._assumed = None
+
+    def _is_recognised(self, node: int, keys: KeyframeLog, graph: PoseGraph) -> bool:
+        """Return whether the closures of the last nodes, with that of this one, place the session.
+
+        A place elsewhere, or a likely one that cannot be verified, starts the count again. In an area that
+        a user gave, one closure is enough.
+        """
+        guess = self._finder.find(node, keys, graph)
+        expected = _distinct_closure(self._compare_odometry(node, keys, graph))
+        new = expected
+        if guess is not None and guess.likely:
+            new = self._verified(node, guess.pose, expected, keys, graph)
+        if new is None:
+            if guess is not None and (guess.likely or not self._is_at(guess.pose, node, graph)):
+                self._closures = []
+            return False
+        if not all(agree(closure, new, graph) for closure in self._closures):
+            self._closures = []
+        self._closures.append(new)
+        if guess is not None and guess.hinted:
+            return True
+        required = MIN_EXPECTED_CLOSURES if new is expected else self._required()
+        return len(self._closures) >= required
+
+    def _verified(
+        self,
+        node: int,
+        pose: Array,
+        expected: PendingClosure | None,
+        keys: KeyframeLog,
+        graph: PoseGraph,
+    ) -> PendingClosure | None:
+        """Return the closure at a likely pose (3,); None if the map agrees with odometry at another one."""
+        if expected is not None:
+            return expected if _is_same(_placed(expected, graph), pose) else None
+        window = self._closer.window(0.0)
+        closure = self._closer.compare(node, pose, window, keys, graph).closure
+        return closure if closure is not None and closure.is_strong else None
+
+    def _is_at(self, pose: Array, node: int, graph: PoseGraph) -> bool:
+        """Return whether a pose (3,) of a node is where the closures so far place it."""
+        poses = graph.poses
+        return all(
+            _is_same(compose(_placed(one, graph), between(poses[one.j], poses[node])), pose)
+            for one in self._closures
+        )
+
+    def _compare_odometry(
+        self, node: int, keys: KeyframeLog, graph: PoseGraph
+    ) -> Comparison | None:
+        """Compare a node with the map at its place by odometry, if odometry tells one."""
+        begin = int(graph.roots[node])
+        if not self._is_linked(begin, graph):
+            return None
+        driven = keys.distance[keys.nodes]
+        distance = float(driven[node] - driven[begin])
+        narrow = self._closer.window(distance)
+        radius = narrow.x + BREAK_DRIFT * distance
+        window = Window(radius, radius, max(narrow.heading, BREAK_DRIFT))
+        result = self._closer.compare(node, graph.poses[node], window, keys, graph)
+        self._compared.append(result)
+        return result
+
+    def _is_linked(self, root: int, graph: PoseGraph) -> bool:
+        """Return whether odometry connects a session to the map."""
+        begins = {gap.node for gap in self._breaks}
+        while root in begins:
+            root = int(graph.roots[root - 1])
+        return root == 0
+
+    def _required(self) -> float:
+        """Return how many closures place a session elsewhere than odometry does."""
+        against = sum(one.contradicts for one in self._compared)
+        agreeing = sum(_distinct_closure(one) is not None for one in self._compared)
+        if against > agreeing or not self._breaks:
+            return MIN_CLOSURES
+        return math.inf if agreeing else MIN_SURPRISING_CLOSURES
+
+    def _may_assume_odometry(self, node: int, keys: KeyframeLog) -> bool:
+        """Return whether a session that could not be located may be joined to the map by odometry.
+
+        It may after a long search, unless the map contradicts the scans of its nodes at the resulting
+        poses: then the view has changed, not the place.
+        """
+        driven = keys.distance[keys.nodes]
+        if not self._breaks or driven[node] - driven[self._breaks[-1].node] < MIN_SEARCH_DISTANCE:
+            return False
+        last = self._compared[-MAX_CHECKED_NODES:]
+        return 2 * sum(one.contradicts for one in last) < len(last)
+
+    def _join_breaks(self, graph: PoseGraph) -> None:
+        """Join sessions by the motions from odometry, robustly: wrong ones have little weight."""
+        for gap in self._breaks:
+            information = np.asarray(np.linalg.inv(gap.covariance))
+            graph.close(gap.node - 1, gap.node, gap.motion, information, BREAK_LENGTH)
+        self._breaks, self._compared, self._closures = [], [], []
+
+
+def _distinct_closure(comparison: Comparison | None) -> PendingClosure | None:
+    """Return a strong closure whose position is known in all directions, if there is one."""
+    closure = None if comparison is None else comparison.closure
+    if closure is None or not closure.is_strong:
+        return None
+    covariance = np.linalg.inv(closure.closure.information)[:2, :2]
+    return closure if np.linalg.eigvalsh(covariance)[-1] < MAX_SIGMA**2 else None
+
+
+def _placed(closure: PendingClosure, graph: PoseGraph) -> Array:
+    """Return the pose (3,) in the map of a closure's node j."""
+    return compose(graph.poses[closure.i], closure.closure.pose)
+
+
+def _is_same(one: Array, other: Array) -> bool:
+    d = between(one, other)
+    return bool(math.hypot(d[0], d[1]) < SAME_PLACE[0] and abs(d[2]) < SAME_PLACE[1])

@@ -5,6 +5,7 @@ import pytest
 
 from impslam.health import ELSEWHERE, NONE, OPEN, PUSHED, SLIPPED, STALLED, UNEXPLAINED
 from impslam.tracking.match_faults import (
+    DISPUTED_VARIANCE,
     MIN_FIT,
     MIN_OPEN_DISTANCE,
     MatchQuality,
@@ -12,6 +13,7 @@ from impslam.tracking.match_faults import (
     add_misfit,
     check_motion,
     current_fault,
+    disputed_variance,
     fits_poorly,
     initial_faults,
     turns_oppose,
@@ -166,3 +168,34 @@ def test_noise_and_a_late_lidar_are_not_opposite_turns():
     assert not any(turns_oppose(turns, *(0.02 * rng.standard_normal(2))) for _ in range(2000))
     rate = 0.1 * np.sin(0.1 * np.arange(300))
     assert not any(turns_oppose(turns, *pair) for pair in zip(rate[3:], rate[:-3], strict=True))
+
+
+def disputed(motions, period=0.2):
+    """Return the variance of the distance that pairs of motions by odometry and by scans dispute."""
+    faults, total = initial_faults(), 0.0
+    for odometry, scans in motions:
+        check_motion(faults, odometry, scans, True, False, period)
+        total += disputed_variance(faults, odometry, scans)
+    return total
+
+
+@pytest.mark.parametrize("direction", [1.0, -1.0])
+def test_the_standard_deviation_grows_with_the_whole_disputed_distance(direction):
+    """The errors have one cause, so they do not average out."""
+    ahead = direction * AHEAD
+    agreed = [(ahead, ahead)] * 10
+    for n in (10, 20):
+        variance = disputed([*agreed, *[(ahead, 0.2 * ahead)] * n, *agreed])
+        assert np.sqrt(variance / DISPUTED_VARIANCE) == pytest.approx(0.08 * n, rel=0.1)
+
+
+def test_scans_that_show_more_motion_or_hardly_less_are_not_disputed():
+    assert disputed([(AHEAD, 2.0 * AHEAD)] * 30) == 0.0
+    assert disputed([(AHEAD, 0.9 * AHEAD)] * 30) == 0.0
+    assert disputed([(STILL, AHEAD)] * 30) == 0.0
+
+
+def test_two_disagreements_are_independent():
+    one = [(AHEAD, 0.2 * AHEAD)] * 10
+    agreed = [(AHEAD, AHEAD)] * 100
+    assert disputed([*one, *agreed, *one]) == pytest.approx(2.0 * disputed(one), rel=0.05)

@@ -67,6 +67,13 @@ MIN_TURN_PRODUCT = 0.05
 """rad^2: smallest sum of the products of both turns that is tested: 0.5 rad in steps of 0.1."""
 MIN_OPEN_DISTANCE = 1.0
 """m along a bare corridor that are reported; over less, odometry is off by no more than a match."""
+MIN_DISPUTED = 0.05, 0.15
+"""m, and share of the distance, that scans show less than odometry in a disagreement."""
+MAX_OPPOSITE = 0.5
+"""Share of odometry's motion that scans may show the other way: people seldom walk so much faster."""
+DISPUTED_VARIANCE = 0.5
+"""Variance of the distance, as a share of the square of what scans show less than odometry: people who walk
+along with the robot look like slipping wheels, and at even odds either is right."""
 
 
 class MatchFaults(NamedTuple):
@@ -80,6 +87,7 @@ class MatchFaults(NamedTuple):
         `LONG_WINDOW`
     unlocated : (1,) m travelled since a scan last determined the position
     turns : (2,) sums of the products of turns by odometry and by scans, and of their magnitudes, rad^2
+    disputed : (1,) m that scans have shown less than odometry since the two disagree
     newest : (2,) reason and distance of the newest match that was compared
     offsets : of the lidar's mount and clock
     """
@@ -90,6 +98,7 @@ class MatchFaults(NamedTuple):
     scans: Array
     unlocated: Array
     turns: Array
+    disputed: Array
     newest: Array
     offsets: Offsets
 
@@ -118,6 +127,7 @@ def initial_faults() -> MatchFaults:
         np.zeros(3),
         np.zeros(1),
         np.zeros(2),
+        np.zeros(1),
         np.zeros(2),
         initial_offsets(),
     )
@@ -185,6 +195,27 @@ def check_motion(
     else:
         interrupt(faults.offsets)
     return current_fault(faults, 0.0)
+
+
+@kernel
+def disputed_variance(faults: MatchFaults, odometry: Array, scans: Array) -> float:
+    """Update after `check_motion`; return the variance in m^2 that a disputed distance adds to this match.
+
+    `odometry` and `scans` are the motions (3,) since the last match. The errors of all matches in a
+    disagreement have one cause, so their sum has the variance of the whole difference.
+    """
+    before = faults.disputed[0]
+    ahead, missing = faults.odometry[2], faults.odometry[2] - faults.scans[2]
+    opposite = scans[0] * odometry[0] < 0.0 and abs(scans[0]) > MAX_OPPOSITE * abs(odometry[0])
+    small = abs(missing) < MIN_DISPUTED[0] + MIN_DISPUTED[1] * abs(ahead)
+    if missing * ahead < 0.0 or small or opposite:
+        faults.disputed[0] = 0.0
+        return 0.0
+    if before > 0.0:  # else it began within the window
+        missing = odometry[0] - scans[0]
+    after = max(before, before + math.copysign(missing, missing * ahead))
+    faults.disputed[0] = after
+    return float(DISPUTED_VARIANCE * (after * after - before * before))
 
 
 @kernel

@@ -40,6 +40,7 @@ from impslam.tracking.match_faults import (
     add_misfit,
     check_motion,
     current_fault,
+    disputed_variance,
     fits_poorly,
 )
 from impslam.tracking.match_information import add_along, add_drift, information, remove_spurious
@@ -267,6 +268,8 @@ def _move(
     )
     out.d_pose[k] = state.velocity
     out.covariance[k] = rotate_covariance(covariance, -state.matched[2])
+    disputed = disputed_variance(state.faults, odometry_motion, state.velocity)
+    add_along(out.covariance[k], 0.0, disputed)
     state.submaps.travelled[0] += math.hypot(state.velocity[0], state.velocity[1])
     add_drift(state.velocity, settings.drift, out.covariance[k])
 

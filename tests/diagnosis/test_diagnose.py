@@ -47,6 +47,7 @@ CASES = {
     "turned by 20 degrees": (faults.turned(0.35), (), "laser turned"),
     "astern": (faults.turned(3.14159), (), "laser turned"),
     "ranges 10 % short": (faults.scaled_ranges(0.9), (), "ranges scale"),
+    "ranges 10 % long": (faults.scaled_ranges(1.1), (), "ranges scale"),
     "late": (faults.late(0.2), (), "stamps late"),
     "sweep reversed": (faults.reversed_sweep(), (), "sweep reversed"),
     "sweep not reversed": (

@@ -20,6 +20,9 @@ MIN_BEAM_SHARE, MIN_SCAN_SHARE = 0.005, 0.2
 """Shares of valid beams, and of scans, with the value: if rarer, it does no harm."""
 MIN_PEAK_RATIO = 5.0
 """Ratio of its frequency to the largest one beside it: on surfaces, frequencies change gradually."""
+MIN_EXCESS = 2.0
+"""Ratio of noise below range_max to as wide a part farther below: surfaces are as frequent in both. Those
+that too long ranges place beyond range_max end there like noise."""
 PEAK_NEIGHBOURS = 20
 """Values on either side with which it is compared."""
 WIDTHS = np.geomspace(0.001, 0.1, 24)
@@ -41,7 +44,10 @@ def check_noise(e: Evidence) -> list[Finding]:
     width = _width(beyond, sample.limit) or _width(below, sample.limit)
     with np.errstate(invalid="ignore"):
         near, past = (below > 0.0) & (below <= width), (beyond >= 0.0) & (beyond <= width)
-    if not _is_frequent(near, sample) or not _is_balanced(int(near.sum()), int(past.sum())):
+        next_to_it = (below > width) & (below <= 2.0 * width)
+    is_peak = near.sum() > MIN_EXCESS * next_to_it.sum()
+    is_noise = is_peak and _is_balanced(int(near.sum()), int(past.sum()))
+    if not is_noise or not _is_frequent(near, sample):
         return []
     share = 100.0 * near.sum() / sample.valid.sum()
     what = (

@@ -78,6 +78,13 @@ def test_only_large_innovations_are_inconsistent(watch):
     assert keyframes(watch, range(5), ratio=1.0, count=100)[-1] == NONE
 
 
+def test_one_keyframe_of_large_innovations_is_no_displacement(watch):
+    """One in a hundred has them by chance, and earlier landmarks may not be seen again."""
+    newer = range(5, 10)
+    assert keyframes(watch, newer, born=newer, ratio=8.0) == [INCONSISTENT]
+    assert keyframes(watch, newer, ratio=0.3, count=10)[-1] == NONE
+
+
 def test_slip_along_matched_walls_is_detected(watch):
     assert keyframes(watch, [0, 1], count=3) == [NONE, NONE, DISPLACED]
 

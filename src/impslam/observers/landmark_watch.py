@@ -46,7 +46,7 @@ class LandmarkWatch:
         # start with the averages of a consistent filter
         self._squares, self._freedoms = INNOVATION_WINDOW, INNOVATION_WINDOW
         self._matches = 0.0
-        self._missing = self._located = 0  # keyframes in a row
+        self._missing = self._located = self._inconsistent = 0  # keyframes in a row
         self._newest = -1  # newest landmark
         self._before: int | None = None  # newest landmark before the robot was displaced
 
@@ -70,6 +70,7 @@ class LandmarkWatch:
     ) -> None:
         """Update whether the robot is displaced; `inconsistent`: the innovations are too large."""
         found, seen = len(revision.matches), len(keyframe.observations)
+        self._inconsistent = self._inconsistent + 1 if inconsistent else 0
         if (keyframe.lost or keyframe.reason == SKIPPED) and self._newest >= 0:
             self._before, self._located = self._newest, 0
         elif self._before is None:
@@ -77,7 +78,7 @@ class LandmarkWatch:
             missing = min(self._matches, seen) - fitting >= MIN_MISSING_SHARE * self._matches
             missing &= self._matches >= MIN_MATCHES
             self._missing = self._missing + (1 if found else 2) if missing else 0
-            if inconsistent or self._missing >= MIN_KEYFRAMES:
+            if max(self._inconsistent, self._missing) >= MIN_KEYFRAMES:
                 self._before, self._located = self._newest, 0
         else:
             known = [match for match in revision.matches if match.landmark <= self._before]

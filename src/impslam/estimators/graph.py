@@ -138,9 +138,10 @@ class Graph(Estimator):
             return
         start = compose(self._graph.poses[-1], self._since[0]) if len(self._graph) else self._start
         self._keys.add(keyframe, start)
-        motion, told = compose_uncertain(*self._since, tracked.d_pose, tracked.covariance)
-        is_told = keyframe.reason == ELSEWHERE and is_finite(tracked)
-        self._sessions.begin(len(self._graph), motion if is_told else None, told)
+        motion = None
+        if keyframe.reason == ELSEWHERE and is_finite(tracked):
+            motion = compose_uncertain(*self._since, tracked.d_pose, tracked.covariance)
+        self._sessions.begin(len(self._graph), motion)
         self._graph.add_root(self._keys.chain[-1], covariance)
         self._since = np.zeros(3), np.zeros((3, 3))
 

@@ -152,8 +152,7 @@ class LoopCloser:
         u, query = int(np.argmin(offsets)), self._query(node, keys)
         if query is None or offsets[u] > REFERENCE_RADIUS:
             return Comparison(math.inf, None)
-        reference = self._reference(u, node, keys, graph)
-        if reference is None:
+        if (reference := self._reference(u, node, keys, graph)) is None:
             return Comparison(math.inf, None)
         guess = between(graph.poses[u], pose)
         closure = self.recogniser.close(reference, query, guess, window)
@@ -192,9 +191,7 @@ class LoopCloser:
     def _accept(self, new: PendingClosure, graph: PoseGraph, window: float) -> bool:
         """Add a closure and those that agree with it to the graph, or keep it pending."""
         if window <= SAFE_WINDOW:
-            if new.closure.verdict != ClosureStrength.STRONG:
-                return False
-            return add(new, graph)
+            return new.is_strong and add(new, graph)
         self._pending = [
             p for p in self._pending if new.distance - p.distance <= CONFIRMATION_DISTANCE
         ]

@@ -59,11 +59,14 @@ class SessionPlacer:
         """Whether nodes are placed by odometry alone, and no earlier place is recognised since."""
         return self._assumed is not None
 
-    def begin(self, node: int, motion: Array | None, covariance: Array) -> None:
-        """Begin a session at a node; `motion` (3,) from the node before is odometry's, if there is any."""
+    def begin(self, node: int, motion: tuple[Array, Array] | None) -> None:
+        """Begin a session at a node.
+
+        `motion` is odometry's from the node before, (3,) with its covariance (3, 3), if there is any.
+        """
         self._compared, self._closures = [], []
         if motion is not None:
-            self._breaks.append(_Break(node, motion, covariance))
+            self._breaks.append(_Break(node, *motion))
 
     def place(self, node: int, keys: KeyframeLog, graph: PoseGraph) -> bool:
         """Try to place the newest session by one of its nodes; return whether it is joined to the map."""
@@ -171,7 +174,7 @@ class SessionPlacer:
         """Return whether a session that could not be located may be joined to the map by odometry.
 
         It may after a long search, unless the map contradicts the scans of its nodes at the resulting
-        poses: then the view has changed, not the place.
+        poses. If the map does not, the view has changed, but not the place.
         """
         driven = keys.distance[keys.nodes]
         if not self._breaks or driven[node] - driven[self._breaks[-1].node] < MIN_SEARCH_DISTANCE:

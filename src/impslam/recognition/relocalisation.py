@@ -39,10 +39,10 @@ EVIDENCE = 30.0
 """Odds of two places are exp(EVIDENCE * difference of their scores). This is less than the number of beams,
 which are not independent: they share walls, people in view and errors of the map."""
 WRONG_SCORE, CHANCE_GAIN, MIN_CHANCE = -0.5, 9.3, 0.4
-"""Score of a wrong place in the mean; what the best of many places gains by chance, times the root of the
-number of independent points; and the lower bound of the sum, since rooms of a building are similar. Of 853
-single scans outside the maps of two offices, 4 scored 0.13 higher than this sum, and of as many drives of
-2 m none."""
+"""The best place of a map scores `WRONG_SCORE` + `CHANCE_GAIN` / sqrt(n) by chance, for n independent
+points: the mean score of wrong places, and what the best of many of them gains. The lower bound allows for
+rooms that look alike. Of 853 single scans outside the maps of two offices, 4 scored higher by 0.13, and of
+as many drives of 2 m none."""
 FOUND_ODDS = 0.98  # then the second place is at least 0.13 behind
 
 

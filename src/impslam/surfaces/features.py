@@ -29,7 +29,7 @@ MIN_GAP, GAP_BEAMS = 0.12, 6.0  # m, and beam spacings: neighbours farther apart
 MAX_GAP = 0.8  # m: upper bound of that distance
 OBLIQUE_BEAMS = 2.0  # beam spacings between neighbours on a wall that is seen at 30 degrees
 MIN_STRAIGHT = (
-    0.9  # cosine between the lines of three points on it: 26 degrees, 2 cm of noise over 5 cm
+    0.9  # cosine between lines of three points on it: 26 degrees, 2 cm of noise over 5 cm
 )
 MIN_INCIDENCE = 0.12  # cosine of incidence (83 degrees): below, the beam's width smears the range
 FLATNESS, ROUGHNESS = (

@@ -35,11 +35,16 @@ def lap(n=20):
     return graph
 
 
-def found(graph, j, verdict=ClosureStrength.STRONG, off=(0.0, 0.0, 0.0), n=20):
+SUPPORT = {
+    ClosureStrength.STRONG: Support(0.8, 0.9, 0.9, 500),
+    ClosureStrength.WEAK: Support(0.8, 0.9, 0.7, 500),
+}
+
+
+def found(graph, j, verdict=ClosureStrength.STRONG, off=(0.0, 0.0, 0.0), support=None, n=20):
     """Return a closure of node j with the one a lap before, which lies at the same place."""
-    support = Support(0.8, 0.9, 0.9, 500)
     pose = np.array(off, float)
-    closure = Closure(pose, INFORMATION, support, verdict, 0.9, -np.inf)
+    closure = Closure(pose, INFORMATION, support or SUPPORT[verdict], verdict, 0.9, -np.inf)
     return PendingClosure(j - n, j, closure, SPACING * j)
 
 
@@ -93,6 +98,21 @@ def test_a_strong_and_another_or_three_weak_closures_are_accepted(verdicts):
     assert graph.closures == len(verdicts)
     assert closer._pending == []
     assert graph.edges.j[-len(verdicts) :].tolist() == [row[0] for row in rows]
+
+
+@pytest.mark.parametrize(
+    ("matched", "seen", "count"),
+    [(0.35, 44, 2), (0.3, 44, 2), (0.25, 60, 2), (0.2, 60, 3), (0.35, 34, 3), (0.15, 20, 3)],
+)
+def test_the_smaller_the_common_area_the_more_closures_have_to_agree(matched, seen, count):
+    rows = [
+        (20 + k, ClosureStrength.WEAK, (0.0, 0.0, 0.0), Support(matched, 1.0, 1.0, seen))
+        for k in range(count)
+    ]
+    graph, closer, _ = taken(WIDE, *rows[:-1])
+    assert graph.closures == 0
+    closer._accept(found(graph, *rows[-1]), graph, WIDE)
+    assert graph.closures == count
 
 
 @pytest.mark.parametrize(

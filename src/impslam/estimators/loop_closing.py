@@ -21,7 +21,7 @@ from impslam.recognition.consistency import Relation, consistent
 from impslam.recognition.correlative import Window
 from impslam.recognition.places import Closure, Recogniser
 from impslam.recognition.submap import Submap, gather
-from impslam.recognition.verify import MIN_MATCHED, ClosureStrength
+from impslam.recognition.verify import MIN_MATCHED, STRONG_SHARE, ClosureStrength
 from impslam.types import Array, Ints
 
 REFERENCE_CELL, QUERY_CELL = 0.05, 0.1  # m: surfels of the map, and enough points for a search
@@ -32,7 +32,9 @@ MAX_REFERENCES = 24  # keyframes; more are redundant
 MIN_REFERENCES = 4
 PASS_DISTANCE = 6.0  # m: keyframes closer than this along the drive are of the same pass
 SAFE_WINDOW = 0.8  # m: so small a window contains only one place
-MIN_SUPPORT = 3  # sum of verdicts that agree: a strong and another one, or three weak ones
+MIN_EVIDENCE = 2.5
+"""Evidence of closures that agree: a strong and another one, three weak ones, or two that together have
+1.25 times the common area of a strong one."""
 CONFIRMATION_DISTANCE = 12.0  # m driven within which a second closure has to agree
 
 
@@ -57,8 +59,8 @@ class LoopSearch(Parameters):
     overlap: float = parameter(
         MIN_MATCHED,
         "1",
-        "share of the points around a node that match earlier ones; with less than the default, three "
-        "closures have to agree",
+        "share of the points around a node that match earlier ones; the smaller it is, the more closures "
+        "have to agree",
         ge=0.1,
         le=1,
     )
@@ -79,6 +81,14 @@ class PendingClosure(NamedTuple):
     def is_strong(self) -> bool:
         """Whether it needs no others that agree."""
         return self.closure.verdict == ClosureStrength.STRONG
+
+    @property
+    def evidence(self) -> float:
+        """What it contributes to `MIN_EVIDENCE`: 2 if strong, less in a small common area, at least 1."""
+        support = self.closure.support
+        if support.agreement < STRONG_SHARE:
+            return 1.0
+        return max(1.0, 2.0 * min(1.0, support.size))
 
 
 class Comparison(NamedTuple):
@@ -196,8 +206,8 @@ class LoopCloser:
             p for p in self._pending if new.distance - p.distance <= CONFIRMATION_DISTANCE
         ]
         agreeing = [p for p in self._pending if agree(p, new, graph)]
-        support = sum(int(p.closure.verdict) for p in (*agreeing, new))
-        if not agreeing or support < MIN_SUPPORT:
+        evidence = sum(p.evidence for p in (*agreeing, new))
+        if not agreeing or evidence < MIN_EVIDENCE:
             self._pending.append(new)
             return False
         self._pending = []

@@ -65,6 +65,11 @@ class Support(NamedTuple):
         """The lesser accuracy of the two submaps."""
         return min(self.query, self.reference)
 
+    @property
+    def size(self) -> float:
+        """The common area, relative to the least in which a closure can be strong."""
+        return min(self.matched / MIN_MATCHED, self.seen / MIN_SEEN)
+
 
 def judge(support: Support, overlap: float = MIN_MATCHED) -> ClosureStrength:
     """Return the verdict on support.
@@ -72,9 +77,9 @@ def judge(support: Support, overlap: float = MIN_MATCHED) -> ClosureStrength:
     With an `overlap` below `MIN_MATCHED`, submaps with less common area are accepted, but as weak ones, and
     only if free space agrees as for a strong one.
     """
-    if support.matched < overlap or support.seen < overlap / MIN_MATCHED * MIN_SEEN:
+    if support.size < overlap / MIN_MATCHED:
         return ClosureStrength.REFUSED
-    is_large = support.matched >= MIN_MATCHED and support.seen >= MIN_SEEN
+    is_large = support.size >= 1.0
     if support.agreement >= STRONG_SHARE:
         return ClosureStrength.STRONG if is_large else ClosureStrength.WEAK
     if is_large and support.agreement >= WEAK_SHARE:

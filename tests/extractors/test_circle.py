@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from pydantic import ValidationError
-from tests.extractors.scans import URG_ANGLES, cast, regular_angles, room
+from tests.extractors.scans import URG_ANGLES, cast, regular_angles, room, with_ranges
 
 from impslam.extractors.circle import Circle
 
@@ -62,6 +62,37 @@ def test_covariance_is_consistent_and_most_are_found(rng, radius, floor):
             d2.append(error @ np.linalg.solve(o.R, error))
     assert len(d2) >= floor * tried
     assert 1.3 < np.mean(d2) < 2.6
+
+
+def mean_radial_error(rng, radius, distance, mixed=0):
+    """Return the mean error of centres along the line of sight, weighted by information, over its scatter.
+
+    `mixed` beams at each side of the cylinder measure a range between it and the background.
+    """
+    errors, weights, noise = [], [], 0.003 + 0.003 * distance
+    for bearing in rng.uniform(-1.2, 1.2, 600):
+        sight = np.array([np.cos(bearing), np.sin(bearing)])
+        circle = np.append(distance * sight, 0.15)[None]
+        scene = cast(2.0 * ROOM, circle, noise=noise, sigma=noise, rng=rng)
+        scan, hits = scene.scan, scene.beams_on_circle(0)
+        if mixed:
+            ends = np.concatenate([hits[:mixed], hits[-mixed:]])
+            ranges = scan.ranges.copy()
+            ranges[ends] += 0.3
+            scan = with_ranges(scan, ranges)
+        for o in cylinders(scan, rng, radius=radius):
+            errors.append(sight @ o.z - distance)
+            weights.append(1.0 / (sight @ o.R @ sight))
+    assert len(errors) > 400
+    return np.average(errors, weights=weights) / np.std(errors)
+
+
+@pytest.mark.parametrize("radius", [None, 0.15])
+@pytest.mark.parametrize("distance", [0.8, 2.0, 3.0])
+@pytest.mark.parametrize(("mixed", "limit"), [(0, 0.2), (1, 0.4)])
+def test_centres_are_unbiased(rng, radius, distance, mixed, limit):
+    """A landmark is seen in hundreds of scans, so a bias well below their scatter dominates its error."""
+    assert abs(mean_radial_error(rng, radius, distance, mixed)) < limit
 
 
 def test_covariance_contains_the_error_common_to_all_ranges(rng):

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from impslam.geometry.circle_start import circle_start
-from impslam.geometry.circles import fit_circle_core
+from impslam.geometry.circles import covariance_at, fit_circle_core
 from impslam.geometry.kernels import kernel
 from impslam.geometry.lines import fit_line_core
 from impslam.types import Array, Ints, Mask
@@ -71,17 +71,30 @@ def _is_plausible(points: Array, sides: Array, limits: Array, origin: Array) -> 
 
 
 @kernel
-def _edges(beams: Array, sides: Array, origin: Array, sigma: float) -> Array:
-    """Return the rays halfway between the outermost hits and the misses beside them."""
-    edges = np.empty((2, 5))
+def _edges(beams: Array, sides: Array) -> Array:
+    """Return the directions (2, 2) halfway between the outermost hits and the misses beside them."""
+    edges = np.empty((2, 2))
     for side in range(2):
         k = 0 if side == 0 else len(beams) - 1
         x, y = beams[k, 0] + sides[k, side, 0], beams[k, 1] + sides[k, side, 1]
         length = max(math.hypot(x, y), 1e-12)
-        edges[side, 0], edges[side, 1] = origin[0], origin[1]
-        edges[side, 2], edges[side, 3] = x / length, y / length
-        edges[side, 4] = sigma
+        edges[side, 0], edges[side, 1] = x / length, y / length
     return edges
+
+
+@kernel
+def _axis(edges: Array, origin: Array, sigma: float) -> Array:
+    """Return the ray (1, 5) halfway between two edges, each with a sigma across in m.
+
+    The width is not used: beams that are partly on the background do not count as hits, and those at a
+    shallow angle may not return, so that an arc is always narrower than its cylinder.
+    """
+    x, y = edges[0, 0] + edges[1, 0], edges[0, 1] + edges[1, 1]
+    length = max(math.hypot(x, y), 1e-12)
+    out = np.empty((1, 5))
+    out[0, 0], out[0, 1], out[0, 2], out[0, 3] = origin[0], origin[1], x / length, y / length
+    out[0, 4] = sigma / math.sqrt(2.0)
+    return out
 
 
 @kernel
@@ -110,13 +123,22 @@ def _fit_arc(
     middle = points[len(points) // 2]
     distance = math.hypot(middle[0] - origin[0], middle[1] - origin[1])
     enough, fit, i, j = _fit_without_ends(points, beams, variances, sides, limits, origin, distance)
-    good, circle, cov, bias, chi2 = fit
+    good, circle, _, _, chi2 = fit
     if not (good and enough):
         return False
-    dof = j - i + 2 - (2 if known_radius else 3)
-    if chi2 > limits[4] * dof or math.sqrt(cov[2, 2]) > limits[5] * circle[2]:
+    dof = j - i + 1 - (2 if known_radius else 3)
+    if chi2 > limits[4] * dof:
         return False
     if not _is_round(points[i:j], beams[i:j], variances[i:j], circle, limits, origin):
+        return False
+    edges = _edges(beams[i:j], sides[i:j])
+    near = math.hypot(circle[0] - origin[0], circle[1] - origin[1]) - circle[2]
+    apparent = _between(edges, origin, near, limits[0])
+    axis = _axis(edges, origin, _edge_sigma(limits, distance, apparent[2]))
+    good, cov, bias = covariance_at(
+        apparent, points[i:j], beams[i:j], variances[i:j], axis, known_radius
+    )
+    if not good or math.sqrt(cov[2, 2]) > limits[5] * apparent[2]:
         return False
     out[0], out[1], out[2:5] = i, j, circle
     out[5], out[6], out[7] = cov[0, 0], cov[0, 1], cov[1, 1]
@@ -140,14 +162,14 @@ def _fit_without_ends(
     Returns whether enough points are left, the fit of `fit_circle_core` to the points [i, j), i and j.
     """
     known_radius, circle = not math.isnan(limits[0]), _start(points, beams, limits, distance)
-    edge = math.hypot(_EDGE_SIGMA * limits[6] * distance, _FADE_SIGMA * circle[2])
+    edge = _edge_sigma(limits, distance, circle[2])
     i, j, enough = 0, len(points), True
     for _ in range(_MAX_FITS):
         if j - i < limits[3]:
             enough = False
             break
-        edges = _edges(beams[i:j], sides[i:j], origin, edge)
-        fit = fit_circle_core(points[i:j], beams[i:j], variances[i:j], edges, circle, known_radius)
+        axis = _axis(_edges(beams[i:j], sides[i:j]), origin, edge)
+        fit = fit_circle_core(points[i:j], beams[i:j], variances[i:j], axis, circle, known_radius)
         first, last, circle = i, j, fit[1]
         if not fit[0]:
             break
@@ -155,6 +177,28 @@ def _fit_without_ends(
         if i == first and j == last:
             break
     return enough, fit, first, last
+
+
+@kernel
+def _between(edges: Array, origin: Array, near: float, known: float) -> Array:
+    """Return the circle between two edges that is `near` m away from the laser.
+
+    Its direction and radius do not depend on the noise of ranges, so the covariance of the fit is that at
+    this circle. At the fit itself, noise that makes an arc look more curved brings the centre nearer and
+    makes it seem more accurate, and the weighted mean of many fits is too near.
+    """
+    ux, uy = edges[0, 0] + edges[1, 0], edges[0, 1] + edges[1, 1]
+    length = math.hypot(ux, uy)  # 2 cos(half the angle between them)
+    sine = math.sqrt(max(1.0 - 0.25 * length * length, 0.0))
+    radius = near * sine / (1.0 - sine) if math.isnan(known) else known
+    scale = (near + radius) / length
+    return np.array([origin[0] + scale * ux, origin[1] + scale * uy, radius])
+
+
+@kernel
+def _edge_sigma(limits: Array, distance: float, radius: float) -> float:
+    """Return the standard deviation of an edge across, m."""
+    return math.hypot(_EDGE_SIGMA * limits[6] * distance, _FADE_SIGMA * radius)
 
 
 @kernel

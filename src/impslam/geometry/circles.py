@@ -3,7 +3,7 @@
 A circle is [x, y, radius], perturbed by addition. As for lines, noise of beam i moves its point
 along the beam, hence off the circle by sigma_i times the cosine of incidence, and each point's
 normal is that at the intersection of the beam with the *estimated* circle. The fit is by Gauss-Newton, from
-`circle_start`. A beam that just misses the circle is a measurement, too: a tangent ("edge").
+`circle_start`. The direction of the centre may be measured, too, by a ray through it ("axis").
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _ITERATIONS = 25
 _CONVERGED = 1e-7  # m: each step is at most half the last, so that less than a micrometre remains
 _GRAZING2 = 0.01  # cosine^2 at 84 deg: beyond, a beam's width matters more than its range noise
 _MAX_RADIUS = 1e3  # m: a larger circle is a line
-_NO_EDGES = np.empty((0, 5))
+_NO_AXIS = np.empty((0, 5))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,13 +65,11 @@ def _row(circle: Array, point: Array, beam: Array, variance: float, row: Array) 
 
 
 @kernel
-def _edge_row(circle: Array, edge: Array, row: Array) -> float:
-    """Write the row of a tangent ray [origin, direction, sigma]; return its variance."""
-    vx, vy = circle[0] - edge[0], circle[1] - edge[1]
-    cross = edge[2] * vy - edge[3] * vx
-    side = 1.0 if cross >= 0.0 else -1.0
-    row[0], row[1], row[2], row[3] = side * edge[3], -side * edge[2], abs(cross) - circle[2], 0.0
-    variance: float = edge[4] * edge[4]
+def _axis_row(circle: Array, axis: Array, row: Array) -> float:
+    """Write the row of a ray [origin, direction, sigma] through the centre; return its variance."""
+    vx, vy = circle[0] - axis[0], circle[1] - axis[1]
+    row[0], row[1], row[2], row[3] = axis[3], -axis[2], axis[2] * vy - axis[3] * vx, 0.0
+    variance: float = axis[4] * axis[4]
     return variance
 
 
@@ -81,7 +79,7 @@ def _normal_equations(
     points: Array,
     beams: Array,
     variances: Array,
-    edges: Array,
+    axis: Array,
     info: Array,
     sums: Array,
 ) -> float:
@@ -89,22 +87,23 @@ def _normal_equations(
     row = np.empty(4)
     chi2 = xx = xy = yy = xr = yr = rr = 0.0
     sums[:] = 0.0
-    for i in range(len(points) + len(edges)):
+    for i in range(len(points) + len(axis)):
+        by_radius = 1.0 if i < len(points) else 0.0
         if i < len(points):
             variance = _row(circle, points[i], beams[i], variances[i], row)
         else:
-            variance = _edge_row(circle, edges[i - len(points)], row)
+            variance = _axis_row(circle, axis[i - len(points)], row)
         hx, hy, off, cosine, w = row[0], row[1], row[2], row[3], 1.0 / variance
         chi2 += w * off * off
         xx += w * hx * hx
         xy += w * hx * hy
         yy += w * hy * hy
-        xr += w * hx
-        yr += w * hy
-        rr += w
+        xr += w * hx * by_radius
+        yr += w * hy * by_radius
+        rr += w * by_radius
         sums[0, 0] += w * hx * off
         sums[0, 1] += w * hy * off
-        sums[0, 2] += w * off
+        sums[0, 2] += w * off * by_radius
         sums[1, 0] += w * hx * cosine
         sums[1, 1] += w * hy * cosine
         sums[1, 2] += w * cosine
@@ -146,7 +145,7 @@ def _multiply(matrix: Array, vector: Array) -> Array:
 
 @kernel
 def fit_circle_core(
-    points: Array, beams: Array, variances: Array, edges: Array, start: Array, known: bool
+    points: Array, beams: Array, variances: Array, axis: Array, start: Array, known: bool
 ) -> tuple[bool, Array, Array, Array, float]:
     """Fit from a start [x, y, radius]; return success, circle, covariance, bias Jacobian, chi2.
 
@@ -154,7 +153,7 @@ def fit_circle_core(
     ----------
     points, beams : (n, 2) m, and unit vectors of the beams' directions
     variances : (n,) m^2, of the range noise
-    edges : (k, 5) origin, unit direction and sigma (m, across) of rays that touch the circle
+    axis : (0 or 1, 5) origin, unit direction and sigma (m, across) of a ray through the centre
     known : the radius is that of the start
     """
     circle = start.copy()
@@ -164,7 +163,7 @@ def fit_circle_core(
     for _ in range(_ITERATIONS):
         if not (circle[2] > 0.0 and circle[2] < _MAX_RADIUS):
             return False, circle, covariance, bias, math.nan
-        _normal_equations(circle, points, beams, variances, edges, info, sums)
+        _normal_equations(circle, points, beams, variances, axis, info, sums)
         if not _inverse(info, known, covariance):
             return False, circle, covariance, bias, math.nan
         step = _multiply(covariance, sums[0])
@@ -172,10 +171,21 @@ def fit_circle_core(
         circle += step * min(1.0, circle[2] / max(step_length, 1e-300))
         if step_length < _CONVERGED:
             break
-    chi2 = _normal_equations(circle, points, beams, variances, edges, info, sums)
+    chi2 = _normal_equations(circle, points, beams, variances, axis, info, sums)
     good = _inverse(info, known, covariance) and step_length < 1e-4
     bias = _multiply(covariance, sums[1])
     return good, circle, covariance, bias, chi2
+
+
+@kernel
+def covariance_at(
+    circle: Array, points: Array, beams: Array, variances: Array, axis: Array, known: bool
+) -> tuple[bool, Array, Array]:
+    """Return success, covariance and bias Jacobian of a fit if `circle` were the true one."""
+    info, sums, covariance = np.empty((3, 3)), np.empty((2, 3)), np.zeros((3, 3))
+    _normal_equations(circle, points, beams, variances, axis, info, sums)
+    good = _inverse(info, known, covariance)
+    return good, covariance, _multiply(covariance, sums[1])
 
 
 def fit_circle(
@@ -205,7 +215,7 @@ def fit_circle(
     beams = np.column_stack((np.cos(directions), np.sin(directions)))
     start = circle_start(points, beams, math.nan if radius is None else radius)
     good, circle, covariance, bias, chi2 = fit_circle_core(
-        points, beams, sigmas**2, _NO_EDGES, start, radius is not None
+        points, beams, sigmas**2, _NO_AXIS, start, radius is not None
     )
     if not good:
         raise ShapeError("the points define no circle; give points on an arc, not on a line")

@@ -32,7 +32,7 @@ MIN_SCORE = 0.3  # reached anywhere by chance
 MIN_SHARE = 0.8  # of the best score; worse places are not returned
 MAX_PLACES = 30
 SEPARATION, HEADING_SEPARATION = 0.5, 0.2  # m, rad
-BUDGET, MIN_BUDGET, MAX_BUDGET = 1000, 400_000, 4_000_000
+BUDGET, MIN_BUDGET, MAX_BUDGET = 4000, 400_000, 4_000_000
 """Maximum number of blocks per m^2 of the map, and its limits; 0.2 us each."""
 _COLUMN, _ROW, _LEVEL = 20, 20, 4  # bits of a block's key
 

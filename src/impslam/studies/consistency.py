@@ -27,7 +27,7 @@ from impslam.sweeps.rows import failures
 FILTERS = ("ekf", "ukf", "fej", "oc", "riekf")
 RUNS = 100
 """Default for the circle: the bootstrap interval of the EKF's mean NEES is then about 0.5."""
-MAX_RUNS_LOOP, MAX_RUNS_ARENA = 20, 20
+MAX_RUNS_LOOP, MAX_RUNS_ARENA = 20, 40
 """Upper bounds: these runs take two and five times as long."""
 TEXT = load_text("consistency")
 NOTES, PUBLISHED = TEXT["notes"], TEXT["published"]

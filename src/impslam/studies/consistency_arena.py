@@ -2,7 +2,8 @@
 
 The noise differs from the filter's model: ranges have a common error, pixels at edges mix ranges, wheels
 slip. The preset compensates with more noise than a simulated room has. To show the effect of each
-compensation, an error is switched off in the simulation together with its compensation in the preset.
+compensation, the preset is told the truth, or an error is switched off in the simulation together with its
+compensation in the preset.
 """
 
 from __future__ import annotations
@@ -51,16 +52,23 @@ _NO_SLIP_SETTINGS = tuple(
     f"odometry.slip.{name}=0.0"
     for name in ("forward", "sideways", "turn_per_distance", "turn_per_turn")
 )
-_EXACT_SETTINGS = (
-    "sensors.lidar.bias=0.0",
+_FLAT_SETTINGS = (
     "sensors.lidar.extractors.walls.flatness=0.0",
     "sensors.lidar.extractors.corners.flatness=0.0",
 )
+_SHIPPED = SimulatedRobot(truth_rate=ROBOT.truth_rate)
 _EXACT = {"encoders": _NO_SLIP, "lidar": Lidar(bias_sigma=0.0, divergence=0.0)}
 CASES = (
-    ConsistencyCase("as it is"),
+    ConsistencyCase("as it is", _SHIPPED),
+    ConsistencyCase("without IMU", filters=FILTERS[-1:]),
     ConsistencyCase(
-        "no slip, and told so",
+        "walls told flat, and the bias",
+        _SHIPPED,
+        (*_FLAT_SETTINGS, f"sensors.lidar.bias={Lidar().bias_sigma}"),
+        FILTERS[-1:],
+    ),
+    ConsistencyCase(
+        "no IMU, no slip, and told so",
         ROBOT.model_copy(update={"encoders": _NO_SLIP}),
         _NO_SLIP_SETTINGS,
         FILTERS[-1:],
@@ -68,7 +76,7 @@ CASES = (
     ConsistencyCase(
         "nor bias nor mixed pixels, walls told flat",
         ROBOT.model_copy(update=_EXACT),
-        (*_NO_SLIP_SETTINGS, *_EXACT_SETTINGS),
+        (*_NO_SLIP_SETTINGS, *_FLAT_SETTINGS, "sensors.lidar.bias=0.0"),
         FILTERS[-1:],
     ),
 )

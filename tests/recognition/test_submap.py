@@ -3,11 +3,13 @@
 import math
 
 import numpy as np
-from tests.extractors.scans import ORIGIN, cast, regular_angles, room
+import pytest
+from tests.extractors.scans import ORIGIN, cast, regular_angles, room, with_ranges
 from tests.recognition.plans import OFFICE, way
 
 from impslam.geometry.se2 import between, compose, transform
-from impslam.recognition.submap import BEARINGS, gather, view
+from impslam.recognition.free_ranges import BEARINGS
+from impslam.recognition.submap import gather, view
 
 SQUARE = room(-2.0, 3.0, -1.5, 2.2)
 HALF = regular_angles(181, math.pi)
@@ -74,3 +76,31 @@ def test_a_beam_without_an_echo_has_no_effect():
     ahead = BEARINGS // 2
     assert free[ahead] == free[ahead - 1] == 0.0
     assert free[3 * BEARINGS // 4 - 1] > 0.0
+
+
+def test_a_few_lost_beams_hide_nothing(rng):
+    """With 30 % of them lost, two of three bins of 2 degrees would miss one of their beams."""
+    scan = cast(SQUARE, angles=regular_angles(720, 2.0 * math.pi)).scan
+    some = with_ranges(scan, np.where(rng.random(720) < 0.3, np.nan, scan.ranges))
+    whole, left = view(scan).free, view(some).free
+    assert (left > 0.0).all()
+    np.testing.assert_allclose(left, whole, rtol=0.05)
+
+
+def test_many_lost_beams_in_a_row_hide_everything():
+    scan = cast(SQUARE, angles=regular_angles(720, 2.0 * math.pi)).scan
+    ranges = scan.ranges.copy()
+    ranges[360:384] = np.nan  # 12 degrees from straight ahead
+    free = view(with_ranges(scan, ranges)).free
+    assert (free[BEARINGS // 2 : BEARINGS // 2 + 5] == 0.0).all()
+    assert np.count_nonzero(free == 0.0) <= 7
+
+
+@pytest.mark.parametrize(("spacing", "share"), [(4.0, 1.0), (8.0, 1.0), (20.0, 0.1)])
+def test_between_the_beams_of_a_coarse_lidar_space_is_free(spacing, share):
+    """Up to the nearer one of two neighbours, unless they are too far apart."""
+    scan = cast(SQUARE, angles=regular_angles(round(360.0 / spacing), 2.0 * math.pi)).scan
+    free = view(scan).free
+    assert np.mean(free > 0.0) == pytest.approx(share, abs=0.01)
+    fine = view(cast(SQUARE, angles=regular_angles(3600, 2.0 * math.pi)).scan).free
+    assert (free < 1.25 * fine).all()

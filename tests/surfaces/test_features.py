@@ -180,3 +180,24 @@ def test_spacing_is_that_of_the_beams():
     assert beam_spacing(np.linspace(-1.0, 1.0, 201)) == pytest.approx(0.01)
     assert beam_spacing(np.linspace(1.0, -1.0, 201)) == pytest.approx(0.01)
     assert beam_spacing(np.zeros(1)) == 0.0
+
+
+@pytest.mark.parametrize("noise", [0.01, 0.03, 0.06])
+def test_noisy_walls_are_still_surfaces(rng, noise):
+    """Only in a scan without noise are points 6 cm off a line a heap of things."""
+    rows = features(cast(ROOM, noise=noise, rng=rng).scan, 0.04)
+    assert np.mean(rows[:, 4] > 0.0) > 0.8
+    normals, _ = nearest_wall(rows[rows[:, 4] > 0.0], ROOM)
+    agree = np.einsum("nk,nk->n", rows[rows[:, 4] > 0.0, 2:4], normals)
+    assert np.mean(agree > 0.8) > 0.75
+
+
+def test_the_noise_of_one_object_is_that_object():
+    """Points scattered over 20 cm within a smooth room are no surface."""
+    scan = cast(ROOM, angles=np.linspace(-math.pi, math.pi, 720, endpoint=False)).scan
+    ranges = scan.ranges.copy()
+    ranges[300:330] += np.tile([0.1, -0.1], 15)
+    rows = features(with_ranges(scan, ranges), 0.0)
+    inside = slice(305, 325)
+    assert (rows[inside, 4] == 0.0).all()
+    assert np.mean(rows[:, 4] > 0.0) > 0.9

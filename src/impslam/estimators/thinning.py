@@ -25,7 +25,7 @@ from impslam.graph.bearings import Fans, nearest_feature, sort_by_bearing
 from impslam.graph.bundle import RefinementSettings, refine
 from impslam.graph.overlaps import METRES_PER_RADIAN
 from impslam.graph.pose_graph import Edges
-from impslam.recognition.submap import Floats
+from impslam.recognition.free_ranges import Floats
 from impslam.recognition.verify import evidence_at
 from impslam.types import Array, Ints, Mask
 

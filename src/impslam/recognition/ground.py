@@ -16,8 +16,9 @@ import numpy as np
 from impslam.geometry.se2 import transform
 from impslam.map import Keyframes
 from impslam.maps.grid import BALANCED, OccupancyGrid
+from impslam.recognition.free_ranges import MAX_RANGE
 from impslam.recognition.pyramid import CELL, FULL, Bytes, draw, pool
-from impslam.recognition.submap import MAX_RANGE, View
+from impslam.recognition.submap import View
 from impslam.surfaces.surface_map import SurfaceMap, add, empty_surface_map
 from impslam.types import Array, Mask
 

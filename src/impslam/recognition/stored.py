@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from impslam.geometry.angles import wrap
 from impslam.map import Keyframes
-from impslam.recognition.submap import BEARINGS, MAX_RANGE, Floats, View
+from impslam.recognition.free_ranges import Floats, free_ranges
+from impslam.recognition.submap import View
 from impslam.surfaces.features import find_features
 from impslam.types import Array
 
@@ -37,16 +36,4 @@ def points_view(points: Array | Floats, laser: Array) -> View:
     rows = np.empty((n, 5), np.float32)
     origins, valid = np.broadcast_to(laser, (n, 2)).copy(), ranges > 0.0
     count = find_features(ends, valid, ranges, origins, spacing, FEATURE_SPACING, rows)
-    return View(rows[:count].copy(), np.array(laser, float), _free(ranges, bearings))
-
-
-def _free(ranges: Array, bearings: Array) -> Floats:
-    """Return the nearest range (BEARINGS,) m for each bearing; see `submap.free_ranges`.
-
-    Beams without a valid range are not known here, so a bearing with any valid range is free up to it.
-    """
-    table = np.full(BEARINGS, np.inf, np.float32)
-    bins = np.floor((bearings + math.pi) * (BEARINGS / (2.0 * math.pi))).astype(np.int64) % BEARINGS
-    np.minimum.at(table, bins, np.minimum(ranges, MAX_RANGE).astype(np.float32))
-    table[np.isinf(table)] = 0.0
-    return table
+    return View(rows[:count].copy(), np.array(laser, float), free_ranges(ends, laser, spacing))

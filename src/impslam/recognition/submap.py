@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 
 from impslam.geometry.kernels import kernel
 from impslam.geometry.se2 import between, compose
-from impslam.surfaces.features import Features, features
+from impslam.recognition.free_ranges import Floats, free_ranges
+from impslam.surfaces.features import Features, beam_spacing, features
 from impslam.types import Array, Ints, Scan
 
-Floats: TypeAlias = np.ndarray[Any, np.dtype[np.float32]]
-
-BEARINGS = 180  # bins of 2 degrees: at least one beam of a common lidar (0.25 to 1 degree) in each
-MAX_RANGE = 28.0  # m: a bin is 1 m wide there, and objects between two beams are missed
 _NONE = np.iinfo(np.int64).min  # marks an empty entry of a hash table
 
 
@@ -53,24 +50,8 @@ class Submap(NamedTuple):
 
 def view(scan: Scan, thin: float = 0.04) -> View:
     """Return the view of a scan, with features at least `thin` m apart."""
-    return View(features(scan, thin), scan.laser[:2].copy(), free_ranges(scan))
-
-
-def free_ranges(scan: Scan) -> Floats:
-    """Return the nearest range (BEARINGS,) m for each bearing, up to which space is free.
-
-    A bin with an invalid range is unknown: an absorbing surface and open space look alike.
-    """
-    offsets = scan.points - scan.laser[:2]
-    ranges = np.where(
-        scan.valid, np.minimum(np.hypot(offsets[:, 0], offsets[:, 1]), MAX_RANGE), 0.0
-    )
-    bearings = np.where(scan.valid, np.arctan2(offsets[:, 1], offsets[:, 0]), scan.directions)
-    bins = np.floor((bearings + math.pi) * (BEARINGS / (2.0 * math.pi))).astype(np.int64) % BEARINGS
-    table = np.full(BEARINGS, np.inf, np.float32)
-    np.minimum.at(table, bins, ranges.astype(np.float32))
-    table[np.isinf(table)] = 0.0
-    return table
+    free = free_ranges(scan.points[scan.valid], scan.laser[:2], beam_spacing(scan.angles))
+    return View(features(scan, thin), scan.laser[:2].copy(), free)
 
 
 def gather(

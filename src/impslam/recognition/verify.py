@@ -16,7 +16,8 @@ import numpy as np
 from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.kernels import kernel
 from impslam.geometry.se2 import compose
-from impslam.recognition.submap import BEARINGS, Floats, Submap
+from impslam.recognition.free_ranges import BEARINGS, Floats
+from impslam.recognition.submap import Submap
 from impslam.surfaces.features import Features
 from impslam.surfaces.surface_map import CELL, MIN_NORMAL_COSINE, SurfaceMap
 from impslam.types import Array, Ints, Mask

@@ -36,6 +36,11 @@ FLATNESS, ROUGHNESS = (
     0.05,
     4e-4,
 )  # limit of the scatter across a surface: share of that along it, plus (2 cm)^2
+NOISE_ROUGHNESS, NOISE_GAP = 2.0, 4.0
+"""If the range noise is larger: that limit in variances, which 1 % of surfaces exceed with 8 neighbours on
+either side, and the minimum gap in standard deviations."""
+NOISE_SAMPLES, MIN_NOISE_SAMPLES = 128, 16  # triples of beams for estimating the noise
+MIN_NOISE_COSINE = 0.3  # of their incidence: at more than 73 degrees, curvature looks like noise
 
 
 def features(scan: Scan, thin: float) -> Features:
@@ -76,7 +81,12 @@ def find_features(
     points, origins (n, 2) are each beam's end and start, in one frame; `spacing` is the angle between
     neighbouring beams.
     """
-    count, last = 0, -1
+    count, last, noise = 0, -1, _noise(points, valid, ranges, origins, spacing)
+    limits = (
+        spacing,
+        max(MIN_GAP, NOISE_GAP * noise),
+        max(ROUGHNESS, NOISE_ROUGHNESS * noise * noise),
+    )
     for i in range(len(points)):
         if not valid[i]:
             continue
@@ -85,7 +95,7 @@ def find_features(
             continue
         last = i
         out[count, 0], out[count, 1] = x, y
-        nx, ny, weight = _normal(points, valid, ranges, origins, spacing, i)
+        nx, ny, weight = _normal(points, valid, ranges, origins, limits, i)
         out[count, 2], out[count, 3], out[count, 4] = nx, ny, weight
         count += 1
     return count
@@ -116,10 +126,48 @@ def _single(
 
 
 @kernel
+def _noise(points: Array, valid: Mask, ranges: Array, origins: Array, spacing: float) -> float:
+    """Return the standard deviation of the ranges of a scan, m; 0 of too few surfaces.
+
+    It is the median distance, along the beam, of a point from the line through its two neighbours. Two
+    neighbours with the same noise add half of its variance.
+    """
+    step = max(1, len(points) // NOISE_SAMPLES)
+    off, count = np.empty(len(points) // step + 1), 0
+    for i in range(1, len(points) - 1, step):
+        if not (valid[i - 1] and valid[i] and valid[i + 1]):
+            continue
+        ux, uy = points[i + 1, 0] - points[i - 1, 0], points[i + 1, 1] - points[i - 1, 1]
+        chord, dx, dy = (
+            math.hypot(ux, uy),
+            points[i, 0] - origins[i, 0],
+            points[i, 1] - origins[i, 1],
+        )
+        cosine = abs(dx * uy - dy * ux) / max(ranges[i] * chord, 1e-12)
+        if chord > max(2.0 * MIN_GAP, GAP_BEAMS * ranges[i] * spacing) or cosine < MIN_NOISE_COSINE:
+            continue
+        ex, ey = points[i, 0] - points[i - 1, 0], points[i, 1] - points[i - 1, 1]
+        off[count] = abs(ex * uy - ey * ux) / (chord * cosine)
+        count += 1
+    if count < MIN_NOISE_SAMPLES:
+        return 0.0
+    return float(np.median(off[:count]) / (0.6745 * math.sqrt(1.5)))
+
+
+@kernel
 def _normal(
-    points: Array, valid: Mask, ranges: Array, origins: Array, spacing: float, i: int
+    points: Array,
+    valid: Mask,
+    ranges: Array,
+    origins: Array,
+    limits: tuple[float, float, float],
+    i: int,
 ) -> tuple[float, float, float]:
-    """Return the normal at point i and its weight: the minor axis of its neighbours' scatter."""
+    """Return the normal at point i and its weight: the minor axis of its neighbours' scatter.
+
+    `limits` are the angle between beams, the minimum gap between surfaces in m, and the roughness in m^2.
+    """
+    spacing, min_gap, roughness = limits
     x, y = points[i, 0], points[i, 1]
     n, at_end = 1.0, 0
     sx = sy = xx = xy = yy = 0.0
@@ -129,7 +177,7 @@ def _normal(
             j = i + step * k
             if j < 0 or j >= len(points) or not valid[j]:
                 break
-            gap = max(MIN_GAP, GAP_BEAMS * min(ranges[j], ranges[before]) * spacing)
+            gap = max(min_gap, GAP_BEAMS * min(ranges[j], ranges[before]) * spacing)
             distance2 = (points[j, 0] - points[before, 0]) ** 2 + (
                 points[j, 1] - points[before, 1]
             ) ** 2
@@ -151,7 +199,7 @@ def _normal(
     towards = (nx * (origins[i, 0] - x) + ny * (origins[i, 1] - y)) / ranges[i]
     if towards < 0.0:
         nx, ny, towards = -nx, -ny, -towards
-    flat = mean - half < FLATNESS * (mean + half) + ROUGHNESS
+    flat = mean - half < FLATNESS * (mean + half) + roughness
     if not flat:
         return 0.0, 0.0, 0.0
     if towards <= MIN_INCIDENCE:

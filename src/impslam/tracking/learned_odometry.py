@@ -28,6 +28,9 @@ START = np.array([0.08, 0.05])
 """m/sqrt(m) and rad/sqrt(m), the noise before the first segment: that of indoor robots."""
 MIN_NOISE = np.array([0.003, 0.0005])
 """m/sqrt(m) and rad/sqrt(m): lower bound of the noise; no wheel is better."""
+UNLOCATED_NOISE = np.array([np.inf, 0.03])
+"""m/sqrt(m) and rad/sqrt(m): the noise falls below only if matches determine the position and the heading.
+Wheels are seldom better. Outdoors scans may say little for minutes, and larger values let them mislead."""
 MATCH_SIGMA = (0.014, 0.004)
 """m, rad: error of two matches; only the excess is attributed to odometry."""
 MAX_BIAS = np.array([0.2, 0.2, 0.1])
@@ -43,7 +46,8 @@ class LearnedOdometry(NamedTuple):
     sums : (3, 2) of the least squares for each bias
     noise : (2,) variance of position, m^2/m, and of heading, rad^2/m
     odometry : (3,) odometry's motion since the segment began, corrected by the bias
-    lengths : (3,) m and rad of that motion, and the number of matches that did not determine the position
+    lengths : (4,) m and rad of that motion, and the numbers of matches that did not determine the position
+        and the heading
     begin : (3,) matched pose at which the segment began
     """
 
@@ -59,7 +63,7 @@ def initial_odometry() -> LearnedOdometry:
     """Return the state before anything is learned."""
     zeros = (np.zeros(3) for _ in range(3))
     return LearnedOdometry(
-        next(zeros), np.zeros((3, 2)), START**2, next(zeros), np.zeros(3), next(zeros)
+        next(zeros), np.zeros((3, 2)), START**2, next(zeros), np.zeros(4), next(zeros)
     )
 
 
@@ -95,19 +99,22 @@ def learn(
     plausible: bool,
     pose: Array,
     quality: float,
-    located: bool,
+    located: tuple[bool, bool],
 ) -> None:
     """Update with a match: odometry's motion (3,) since the last match, and its error `off` (3,).
 
     Only plausible matches contribute to the bias. `pose` is as matched; `quality`, in 0..1, is how much it
-    can be trusted. If a match does not determine the position, as along a bare corridor, the position is
-    that of odometry: that both agree means nothing. The position noise does not fall, and the scale of
-    distance is not learned.
+    can be trusted. `located` is whether it determines the position and the heading: if not, as along a bare
+    corridor or with few beams, they are those of odometry, and that both agree means nothing. The noise
+    then hardly falls, and the scale of distance is not learned.
     """
-    learned.lengths[2] += not located
+    learned.lengths[2] += not located[0]
+    learned.lengths[3] += not located[1]
     if plausible:
         keep = math.exp(-(abs(motion[0]) + 0.3 * abs(motion[2])) / BIAS_MEMORY)
-        for k in range(3 if located else 2):
+        for k in range(3):
+            if k == 2 and not located[0]:
+                continue
             cause, effect = (motion[2] if k == 1 else motion[0]), (off[0] if k == 2 else off[2])
             whole = effect + learned.bias[k] * cause  # without the correction
             learned.sums[k, 0] = keep * learned.sums[k, 0] + cause * whole
@@ -128,8 +135,8 @@ def learn(
     )
     for k in range(2):
         new = min(measured[k], 4.0 * learned.noise[k]) / 0.92
-        if k == 0 and learned.lengths[2] > 0.0:
-            new = max(new, learned.noise[0])
+        if learned.lengths[2 + k] > 0.0:
+            new = max(new, min(learned.noise[k], UNLOCATED_NOISE[k] ** 2))
         learned.noise[k] += NOISE_RATE * quality * (new - learned.noise[k])
         learned.noise[k] = max(learned.noise[k], MIN_NOISE[k] ** 2)
     learned.begin[:] = pose

@@ -255,7 +255,7 @@ def _move(
     well_constrained = weakest > enough and weakest > MIN_INFORMATION_RATIO * strongest
     out.located[k] = match.fit.share >= MIN_FIT * match.usual and well_constrained
     if not no_odometry:
-        _learn(state, match.fit, out.located[k])
+        _learn(state, match, out.located[k])
     covariance = rotate_covariance(state.covariance, state.matched[2])
     _fuse(state, settings, match.guess, match.H, match.W, covariance)
     between(state.matched, state.pose, state.velocity)
@@ -291,12 +291,13 @@ def _contradicts(beams: BeamColumns, k: int, state: State) -> bool:
 
 
 @kernel
-def _learn(state: State, fit: MatchQuality, located: bool) -> None:
+def _learn(state: State, match: Match, located: bool) -> None:
     """Learn the bias and noise of odometry from a match."""
+    fit, turned = match.fit, bool(match.H[2, 2] * state.prior[1] > 1.0)
     plausible = fit.share > 0.6 and abs(fit.off[2]) < 4.0 * math.sqrt(state.prior[1])
     plausible = plausible and abs(fit.off[0]) < 4.0 * math.sqrt(state.prior[0])
     quality = min(1.0, state.averages[0] / USUAL_SHARE) ** 4
-    learn(state.odometry, state.motion, fit.off, plausible, state.pose, quality, located)
+    learn(state.odometry, state.motion, fit.off, plausible, state.pose, quality, (located, turned))
 
 
 @kernel

@@ -83,8 +83,9 @@ def test_a_few_lost_beams_hide_nothing(rng):
     scan = cast(SQUARE, angles=regular_angles(720, 2.0 * math.pi)).scan
     some = with_ranges(scan, np.where(rng.random(720) < 0.3, np.nan, scan.ranges))
     whole, left = view(scan).free, view(some).free
-    assert (left > 0.0).all()
-    np.testing.assert_allclose(left, whole, rtol=0.05)
+    known = left > 0.0
+    assert known.mean() > 0.9  # four in a row are lost at 0.8 % of the beams
+    np.testing.assert_allclose(left[known], whole[known], rtol=0.05)
 
 
 def test_many_lost_beams_in_a_row_hide_everything():

@@ -15,9 +15,9 @@ Floats: TypeAlias = np.ndarray[Any, np.dtype[np.float32]]
 
 BEARINGS = 180  # bins of 2 degrees: at least one beam of a common lidar (0.25 to 1 degree) in each
 MAX_RANGE = 28.0  # m: a bin is 1 m wide there, and objects between two beams are missed
-MAX_LOST = math.radians(5.0)
-"""Angle between valid beams, the lost ones between which count like their neighbours: an absorbing surface
-and open space look alike, but are seldom so narrow."""
+MAX_LOST, MAX_LOST_ANGLE = 3.5, math.radians(5.0)
+"""Beams lost in a row, and the angle between the valid ones beside them, that count like their neighbours.
+An absorbing surface and open space look alike, but are seldom so narrow."""
 MAX_SPACING = math.radians(10.0)
 """Angle between the beams of a coarse lidar: a wider one hides too much."""
 
@@ -33,7 +33,8 @@ def free_ranges(points: Array, laser: Array, spacing: float) -> Floats:
     spacing : rad, between neighbouring beams of the lidar
     """
     n, width = len(points), 2.0 * math.pi / BEARINGS
-    limit = max(MAX_LOST, min(1.5 * spacing, MAX_SPACING))
+    few = min((MAX_LOST + 1.0) * spacing, MAX_LOST_ANGLE)
+    limit = max(few, min(1.5 * spacing, MAX_SPACING))
     free, empty = np.full(BEARINGS, np.inf, np.float32), np.ones(BEARINGS, np.bool_)
     bearings, ranges = np.empty(n), np.empty(n)
     for i in range(n):
@@ -44,9 +45,17 @@ def free_ranges(points: Array, laser: Array, spacing: float) -> Floats:
     for i in range(n):
         j = (i + 1) % n
         turn = wrap_in_kernel(bearings[j] - bearings[i])
-        if abs(turn) > limit:
-            continue
         first, last = min(bearings[i], bearings[i] + turn), max(bearings[i], bearings[i] + turn)
+        if last - first > limit:
+            if j == 0:  # outside the field of view
+                continue
+            # Bins with lost beams are unknown.
+            first, last = first + spacing, last - spacing
+            for k in range(
+                math.floor((first + math.pi) / width), math.floor((last + math.pi) / width) + 1
+            ):
+                free[k % BEARINGS] = 0.0
+            continue
         for k in range(math.floor((first + math.pi) / width), math.floor((last + math.pi) / width)):
             b = (k + 1) % BEARINGS
             if empty[b]:

@@ -4,8 +4,13 @@ import numpy as np
 import pytest
 
 from impslam.geometry.se2 import compose
-from impslam.tracking.learned_odometry import START, UNLOCATED_NOISE, initial_odometry, learn
-from impslam.tracking.learned_odometry import correct as corrected
+from impslam.tracking.learned_odometry import (
+    START,
+    UNLOCATED_NOISE,
+    correct,
+    initial_odometry,
+    learn,
+)
 
 STEP = np.array([0.2, 0.0, 0.1])
 
@@ -15,7 +20,7 @@ def driven(located, error=(0.0, 0.0, 0.0), steps=2000):
     learned, pose = initial_odometry(), np.zeros(3)
     for _ in range(steps):
         motion = STEP.copy()
-        corrected(learned, motion)
+        correct(learned, motion)
         pose = compose(pose, STEP + np.array(error))
         learn(learned, motion, STEP + np.array(error) - motion, True, pose, 1.0, located)
     return learned

@@ -83,18 +83,22 @@ def _edges(beams: Array, sides: Array) -> Array:
 
 
 @kernel
+def _bisector(edges: Array) -> tuple[float, float, float]:
+    """Return the direction halfway between two edges, and the cosine of half the angle between them."""
+    x, y = edges[0, 0] + edges[1, 0], edges[0, 1] + edges[1, 1]
+    length = max(math.hypot(x, y), 1e-12)
+    return x / length, y / length, 0.5 * length
+
+
+@kernel
 def _axis(edges: Array, origin: Array, sigma: float) -> Array:
     """Return the ray (1, 5) halfway between two edges, each with a sigma across in m.
 
     The width is not used: beams that are partly on the background do not count as hits, and those at a
     shallow angle may not return, so that an arc is always narrower than its cylinder.
     """
-    x, y = edges[0, 0] + edges[1, 0], edges[0, 1] + edges[1, 1]
-    length = max(math.hypot(x, y), 1e-12)
-    out = np.empty((1, 5))
-    out[0, 0], out[0, 1], out[0, 2], out[0, 3] = origin[0], origin[1], x / length, y / length
-    out[0, 4] = sigma / math.sqrt(2.0)
-    return out
+    x, y, _ = _bisector(edges)
+    return np.array([[origin[0], origin[1], x, y, sigma / math.sqrt(2.0)]])
 
 
 @kernel
@@ -135,7 +139,7 @@ def _fit_arc(
     near = math.hypot(circle[0] - origin[0], circle[1] - origin[1]) - circle[2]
     apparent = _between(edges, origin, near, limits[0])
     axis = _axis(edges, origin, _edge_sigma(limits, distance, apparent[2]))
-    good, cov, bias = covariance_at(
+    good, cov, bias, _ = covariance_at(
         apparent, points[i:j], beams[i:j], variances[i:j], axis, known_radius
     )
     if not good or math.sqrt(cov[2, 2]) > limits[5] * apparent[2]:
@@ -187,12 +191,11 @@ def _between(edges: Array, origin: Array, near: float, known: float) -> Array:
     this circle. At the fit itself, noise that makes an arc look more curved brings the centre nearer and
     makes it seem more accurate, and the weighted mean of many fits is too near.
     """
-    ux, uy = edges[0, 0] + edges[1, 0], edges[0, 1] + edges[1, 1]
-    length = math.hypot(ux, uy)  # 2 cos(half the angle between them)
-    sine = math.sqrt(max(1.0 - 0.25 * length * length, 0.0))
+    x, y, cosine = _bisector(edges)
+    sine = math.sqrt(max(1.0 - cosine * cosine, 0.0))
     radius = near * sine / (1.0 - sine) if math.isnan(known) else known
-    scale = (near + radius) / length
-    return np.array([origin[0] + scale * ux, origin[1] + scale * uy, radius])
+    distance = near + radius
+    return np.array([origin[0] + distance * x, origin[1] + distance * y, radius])
 
 
 @kernel

@@ -144,6 +144,20 @@ def _multiply(matrix: Array, vector: Array) -> Array:
 
 
 @kernel
+def covariance_at(
+    circle: Array, points: Array, beams: Array, variances: Array, axis: Array, known: bool
+) -> tuple[bool, Array, Array, float]:
+    """Return success, covariance, bias Jacobian and chi2 of a fit if `circle` were its result.
+
+    The arguments are those of `fit_circle_core`.
+    """
+    info, sums, covariance = np.empty((3, 3)), np.empty((2, 3)), np.zeros((3, 3))
+    chi2 = _normal_equations(circle, points, beams, variances, axis, info, sums)
+    good = _inverse(info, known, covariance)
+    return good, covariance, _multiply(covariance, sums[1]), chi2
+
+
+@kernel
 def fit_circle_core(
     points: Array, beams: Array, variances: Array, axis: Array, start: Array, known: bool
 ) -> tuple[bool, Array, Array, Array, float]:
@@ -171,21 +185,8 @@ def fit_circle_core(
         circle += step * min(1.0, circle[2] / max(step_length, 1e-300))
         if step_length < _CONVERGED:
             break
-    chi2 = _normal_equations(circle, points, beams, variances, axis, info, sums)
-    good = _inverse(info, known, covariance) and step_length < 1e-4
-    bias = _multiply(covariance, sums[1])
-    return good, circle, covariance, bias, chi2
-
-
-@kernel
-def covariance_at(
-    circle: Array, points: Array, beams: Array, variances: Array, axis: Array, known: bool
-) -> tuple[bool, Array, Array]:
-    """Return success, covariance and bias Jacobian of a fit if `circle` were the true one."""
-    info, sums, covariance = np.empty((3, 3)), np.empty((2, 3)), np.zeros((3, 3))
-    _normal_equations(circle, points, beams, variances, axis, info, sums)
-    good = _inverse(info, known, covariance)
-    return good, covariance, _multiply(covariance, sums[1])
+    good, covariance, bias, chi2 = covariance_at(circle, points, beams, variances, axis, known)
+    return good and step_length < 1e-4, circle, covariance, bias, chi2
 
 
 def fit_circle(

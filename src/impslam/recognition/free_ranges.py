@@ -32,7 +32,7 @@ def free_ranges(points: Array, laser: Array, spacing: float) -> Floats:
     laser : (2,) m, position of the lidar
     spacing : rad, between neighbouring beams of the lidar
     """
-    n, width = len(points), 2.0 * math.pi / BEARINGS
+    n = len(points)
     few = min((MAX_LOST + 1.0) * spacing, MAX_LOST_ANGLE)
     limit = max(few, min(1.5 * spacing, MAX_SPACING))
     free, empty = np.full(BEARINGS, np.inf, np.float32), np.ones(BEARINGS, np.bool_)
@@ -40,27 +40,26 @@ def free_ranges(points: Array, laser: Array, spacing: float) -> Floats:
     for i in range(n):
         dx, dy = points[i, 0] - laser[0], points[i, 1] - laser[1]
         bearings[i], ranges[i] = math.atan2(dy, dx), min(math.sqrt(dx * dx + dy * dy), MAX_RANGE)
-        b = math.floor((bearings[i] + math.pi) / width) % BEARINGS
+        b = _bin(bearings[i]) % BEARINGS
         free[b], empty[b] = min(free[b], ranges[i]), False
     for i in range(n):
         j = (i + 1) % n
         turn = wrap_in_kernel(bearings[j] - bearings[i])
         first, last = min(bearings[i], bearings[i] + turn), max(bearings[i], bearings[i] + turn)
-        if last - first > limit:
-            if j == 0:  # outside the field of view
-                continue
-            # Bins with lost beams are unknown.
-            first, last = first + spacing, last - spacing
-            for k in range(
-                math.floor((first + math.pi) / width), math.floor((last + math.pi) / width) + 1
-            ):
+        if last - first <= limit:
+            for k in range(_bin(first) + 1, _bin(last) + 1):
+                if empty[k % BEARINGS]:
+                    free[k % BEARINGS] = min(free[k % BEARINGS], ranges[i], ranges[j])
+        elif j > 0:  # beams were lost; between the last one and the first one, there are none
+            for k in range(_bin(first + spacing), _bin(last - spacing) + 1):
                 free[k % BEARINGS] = 0.0
-            continue
-        for k in range(math.floor((first + math.pi) / width), math.floor((last + math.pi) / width)):
-            b = (k + 1) % BEARINGS
-            if empty[b]:
-                free[b] = min(free[b], ranges[i], ranges[j])
     for b in range(BEARINGS):
         if free[b] == np.inf:
             free[b] = 0.0
     return free
+
+
+@kernel
+def _bin(bearing: float) -> int:
+    """Return the number of the bin of a bearing in rad, modulo `BEARINGS`."""
+    return math.floor((bearing + math.pi) / (2.0 * math.pi / BEARINGS))

@@ -138,11 +138,8 @@ def _noise(points: Array, valid: Mask, ranges: Array, origins: Array, spacing: f
         if not (valid[i - 1] and valid[i] and valid[i + 1]):
             continue
         ux, uy = points[i + 1, 0] - points[i - 1, 0], points[i + 1, 1] - points[i - 1, 1]
-        chord, dx, dy = (
-            math.hypot(ux, uy),
-            points[i, 0] - origins[i, 0],
-            points[i, 1] - origins[i, 1],
-        )
+        dx, dy = points[i, 0] - origins[i, 0], points[i, 1] - origins[i, 1]
+        chord = math.hypot(ux, uy)
         cosine = abs(dx * uy - dy * ux) / max(ranges[i] * chord, 1e-12)
         if chord > max(2.0 * MIN_GAP, GAP_BEAMS * ranges[i] * spacing) or cosine < MIN_NOISE_COSINE:
             continue
@@ -168,6 +165,32 @@ def _normal(
     `limits` are the angle between beams, the minimum gap between surfaces in m, and the roughness in m^2.
     """
     spacing, min_gap, roughness = limits
+    n, at_end, xx, xy, yy = _scatter(points, valid, ranges, spacing, min_gap, i)
+    if n < 3.0:
+        return _single(points, valid, ranges, origins, spacing, i)
+    x, y = points[i, 0], points[i, 1]
+    mean, half = 0.5 * (xx + yy), 0.5 * math.sqrt((xx - yy) ** 2 + 4.0 * xy * xy)
+    angle = 0.5 * math.atan2(2.0 * xy, xx - yy)
+    nx, ny = -math.sin(angle), math.cos(angle)
+    towards = (nx * (origins[i, 0] - x) + ny * (origins[i, 1] - y)) / ranges[i]
+    if towards < 0.0:
+        nx, ny, towards = -nx, -ny, -towards
+    flat = mean - half < FLATNESS * (mean + half) + roughness
+    if not flat:
+        return 0.0, 0.0, 0.0
+    if towards <= MIN_INCIDENCE:
+        return nx, ny, 0.0
+    return nx, ny, 0.5 if at_end else 1.0
+
+
+@kernel
+def _scatter(
+    points: Array, valid: Mask, ranges: Array, spacing: float, min_gap: float, i: int
+) -> tuple[float, int, float, float, float]:
+    """Return the scatter of point i and its neighbours on the same surface.
+
+    The values are the number of points, that of sides without a neighbour, and the variances xx, xy, yy.
+    """
     x, y = points[i, 0], points[i, 1]
     n, at_end = 1.0, 0
     sx = sy = xx = xy = yy = 0.0
@@ -190,21 +213,7 @@ def _normal(
             xx, xy, yy = xx + dx * dx, xy + dx * dy, yy + dy * dy
             before = j
         at_end += before == i
-    if n < 3.0:
-        return _single(points, valid, ranges, origins, spacing, i)
-    xx, xy, yy = xx / n - (sx / n) ** 2, xy / n - sx * sy / n**2, yy / n - (sy / n) ** 2
-    mean, half = 0.5 * (xx + yy), 0.5 * math.sqrt((xx - yy) ** 2 + 4.0 * xy * xy)
-    angle = 0.5 * math.atan2(2.0 * xy, xx - yy)
-    nx, ny = -math.sin(angle), math.cos(angle)
-    towards = (nx * (origins[i, 0] - x) + ny * (origins[i, 1] - y)) / ranges[i]
-    if towards < 0.0:
-        nx, ny, towards = -nx, -ny, -towards
-    flat = mean - half < FLATNESS * (mean + half) + roughness
-    if not flat:
-        return 0.0, 0.0, 0.0
-    if towards <= MIN_INCIDENCE:
-        return nx, ny, 0.0
-    return nx, ny, 0.5 if at_end else 1.0
+    return n, at_end, xx / n - (sx / n) ** 2, xy / n - sx * sy / n**2, yy / n - (sy / n) ** 2
 
 
 @kernel

@@ -111,18 +111,30 @@ def learn(
     learned.lengths[2] += not located[0]
     learned.lengths[3] += not located[1]
     if plausible:
-        keep = math.exp(-(abs(motion[0]) + 0.3 * abs(motion[2])) / BIAS_MEMORY)
-        for k in range(3):
-            if k == 2 and not located[0]:
-                continue
-            cause, effect = (motion[2] if k == 1 else motion[0]), (off[0] if k == 2 else off[2])
-            whole = effect + learned.bias[k] * cause  # without the correction
-            learned.sums[k, 0] = keep * learned.sums[k, 0] + cause * whole
-            learned.sums[k, 1] = keep * learned.sums[k, 1] + cause * cause
-            bias = learned.sums[k, 0] / (learned.sums[k, 1] + 0.1)
-            learned.bias[k] = min(max(bias, -MAX_BIAS[k]), MAX_BIAS[k])
-    if learned.lengths[0] + learned.lengths[1] < SEGMENT_LENGTH:
-        return
+        _learn_bias(learned, motion, off, located[0])
+    if learned.lengths[0] + learned.lengths[1] >= SEGMENT_LENGTH:
+        _learn_noise(learned, pose, quality)
+        learned.begin[:] = pose
+        learned.odometry[:] = 0.0
+        learned.lengths[:] = 0.0
+
+
+@kernel
+def _learn_bias(learned: LearnedOdometry, motion: Array, off: Array, with_distance: bool) -> None:
+    """Update the bias with a match; see `learn`."""
+    keep = math.exp(-(abs(motion[0]) + 0.3 * abs(motion[2])) / BIAS_MEMORY)
+    for k in range(3 if with_distance else 2):
+        cause, effect = (motion[2] if k == 1 else motion[0]), (off[0] if k == 2 else off[2])
+        whole = effect + learned.bias[k] * cause  # without the correction
+        learned.sums[k, 0] = keep * learned.sums[k, 0] + cause * whole
+        learned.sums[k, 1] = keep * learned.sums[k, 1] + cause * cause
+        bias = learned.sums[k, 0] / (learned.sums[k, 1] + 0.1)
+        learned.bias[k] = min(max(bias, -MAX_BIAS[k]), MAX_BIAS[k])
+
+
+@kernel
+def _learn_noise(learned: LearnedOdometry, pose: Array, quality: float) -> None:
+    """Update the noise with a segment that ends at a matched pose (3,)."""
     matched = np.empty(3)
     between(learned.begin, pose, matched)
     distance, turn = learned.lengths[0], learned.lengths[1]
@@ -139,6 +151,3 @@ def learn(
             new = max(new, min(learned.noise[k], UNLOCATED_NOISE[k] ** 2))
         learned.noise[k] += NOISE_RATE * quality * (new - learned.noise[k])
         learned.noise[k] = max(learned.noise[k], MIN_NOISE[k] ** 2)
-    learned.begin[:] = pose
-    learned.odometry[:] = 0.0
-    learned.lengths[:] = 0.0

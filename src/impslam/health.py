@@ -36,6 +36,9 @@ has failed. LOST: it may be anywhere; the map does not change.
     STALLED,
     OPPOSED,
     SKIPPED,
+    CHANGED,
+    CARRIED,
+    DRIFTING,
     INCONSISTENT,
     GROWN,
     DISPLACED,
@@ -44,10 +47,10 @@ has failed. LOST: it may be anywhere; the map does not change.
     ELSEWHERE,
     UNPLACED,
     NOT_FINITE,
-) = range(22)
+) = range(25)
 """The reasons. `OPEN` and `GROWN` come with a distance in m, `MISTIMED` and `SKIPPED` with s, `MISALIGNED`
-with degrees, `INCONSISTENT` with a ratio; `MISSCALED`, `COVERED`, `UNEXPLAINED` and `ELSEWHERE` with a
-share."""
+with degrees, `INCONSISTENT` with a ratio; `MISSCALED`, `COVERED`, `CHANGED`, `CARRIED`, `UNEXPLAINED` and
+`ELSEWHERE` with a share."""
 _DESCRIPTIONS = (
     "",
     "the lidar is rotated by {0:.1f} deg relative to its configured mount; the heading is off by as much",
@@ -63,6 +66,9 @@ _DESCRIPTIONS = (
     "the wheels turn, the robot does not; the pose follows the scans",
     "odometry and scans turn opposite ways: wheels are swapped, or the lidar is mirrored",
     "no data for {0:.0f} s, and the robot has moved; the position is uncertain",
+    "{1:.0f} % of the scan has changed at once; the position is uncertain",
+    "{1:.0f} % of the scan has changed at once: the robot was carried; the position is uncertain",
+    "landmarks correct odometry to one side all the time: the wheels slip, or parameters are wrong",
     "landmarks are {0:.1f} times as far from their positions as expected; the position is uncertain",
     "nothing known was seen for {0:.1f} m; the position is uncertain",
     "most observations match no earlier landmark; the position is uncertain",

@@ -5,15 +5,26 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from impslam.health import DISPLACED, INCONSISTENT, NONE
+from impslam.health import CARRIED, DISPLACED, INCONSISTENT, NONE
 from impslam.observers.landmark_watch import MAX_RATIO, LandmarkWatch
 
+STILL = SimpleNamespace(d_pose=np.zeros(3), covariance=np.zeros((3, 3)))
 ALONG = np.array([[0.0, 1.0], [4.0, 1.0]])
 ACROSS = np.array([[4.0, -1.0], [4.2, 1.0]])
 
 
 def keyframes(
-    watch, matched, seen=5, born=(), ratio=1.0, count=1, lost=False, *, walls=(), ambiguous=()
+    watch,
+    matched,
+    seen=5,
+    born=(),
+    ratio=1.0,
+    count=1,
+    lost=False,
+    *,
+    walls=(),
+    ambiguous=(),
+    reason=NONE,
 ):
     """Return the reasons that keyframes give in which these landmarks are matched.
 
@@ -29,8 +40,13 @@ def keyframes(
         ]
         ends = [*walls, *[None] * (seen - len(walls))]
         observations = [SimpleNamespace(end_points=one) for one in ends]
-        keyframe = SimpleNamespace(observations=observations, lost=lost, reason=NONE)
-        revision = SimpleNamespace(matches=matches, born=born, ambiguous=ambiguous)
+        keyframe = SimpleNamespace(
+            observations=observations, lost=lost, reason=reason, motion=STILL
+        )
+        revision = SimpleNamespace(
+            matches=matches, born=born, ambiguous=ambiguous, ids=[0], poses=np.zeros((1, 3)),
+            covariances=np.zeros((1, 3, 3)),
+        )  # fmt: skip
         out.append(watch.revise(keyframe, revision)[0])
     return out
 
@@ -68,6 +84,33 @@ def test_new_ground_is_no_displacement(watch):
 
 def test_a_lost_tracker_is_displaced(watch):
     assert keyframes(watch, (), lost=True) == [DISPLACED]
+    assert keyframes(watch, range(5), count=3)[-1] == NONE
+
+
+def test_a_carried_robot_is_displaced_until_it_sees_nothing_but_earlier_landmarks(watch):
+    """Elsewhere, some landmarks fit by chance; those that do not fit are initialised."""
+    assert keyframes(watch, range(3), reason=CARRIED) == [DISPLACED]
+    keyframes(watch, range(4), born=[5])
+    assert keyframes(watch, [0, 1, 2, 3, 5], count=50) == [DISPLACED] * 50
+    assert keyframes(watch, range(5), count=3) == [DISPLACED, DISPLACED, NONE]
+
+
+def test_a_robot_that_sees_the_usual_landmarks_was_not_carried(watch):
+    """A lidar looks through the windows of a car only from some places."""
+    assert keyframes(watch, range(4), reason=CARRIED) == [NONE]
+    assert keyframes(watch, range(5), walls=[ALONG] * 5, reason=CARRIED) == [DISPLACED]
+
+
+def test_a_map_that_has_just_begun_does_not_show_that_the_robot_was_carried():
+    new = LandmarkWatch()
+    keyframes(new, (), born=range(5))
+    assert keyframes(new, (), reason=CARRIED) == [NONE]
+
+
+def test_landmarks_seen_just_before_a_jump_is_found_may_belong_to_the_new_place(watch):
+    keyframes(watch, range(5), born=range(5, 10), count=3)
+    assert keyframes(watch, range(5, 10), reason=CARRIED) == [DISPLACED]
+    assert keyframes(watch, range(5, 10), count=50) == [DISPLACED] * 50
     assert keyframes(watch, range(5), count=3)[-1] == NONE
 
 

@@ -11,12 +11,14 @@ look the same everywhere.
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Iterable
 
 import numpy as np
 
-from impslam.health import DISPLACED, INCONSISTENT, NONE, SKIPPED
+from impslam.health import CARRIED, DISPLACED, DRIFTING, INCONSISTENT, NONE, SKIPPED
 from impslam.map import Keyframe, Revision
+from impslam.observers.correction_watch import CorrectionWatch
 from impslam.types import Observation
 
 INNOVATION_WINDOW = 20.0
@@ -32,6 +34,8 @@ MIN_MISSING_SHARE = 0.4
 missing: the two walls along which a robot slips are still matched."""
 MIN_KNOWN_SHARE = 0.75
 """Share of matches with earlier landmarks that shows that the robot is located again."""
+MEMORY = 10
+"""Keyframes before a jump is reported, more than the second that the tracker may need to find it."""
 MIN_INFORMATION = 0.5
 """Information that matched landmarks must give along the worse axis, where a point gives 1: a wall gives
 none along itself, and one at 45 degrees to the others gives half."""
@@ -43,22 +47,30 @@ class LandmarkWatch:
     """Reports problems with the landmarks that keyframes recognise."""
 
     def __init__(self) -> None:
+        self._corrections = CorrectionWatch()
         # start with the averages of a consistent filter
         self._squares, self._freedoms = INNOVATION_WINDOW, INNOVATION_WINDOW
         self._matches = 0.0
-        self._missing = self._located = self._inconsistent = 0  # keyframes in a row
+        self._missing = self._located = self._inconsistent = self._biased = 0  # keyframes in a row
         self._newest = -1  # newest landmark
+        self._recent = deque([-1], maxlen=MEMORY)  # the same at the last keyframes
         self._before: int | None = None  # newest landmark before the robot was displaced
+        self._carried = False  # whether the tracker says so
 
     def revise(self, keyframe: Keyframe, revision: Revision) -> tuple[int, float]:
         """Add a keyframe; return the reason for concern, `NONE` if there is none, and its amount."""
         self._average(revision)
+        biased = self._corrections.revise(keyframe, revision)
         ratio = self._squares / self._freedoms
+        self._biased = self._biased + 1 if biased else 0
         self._update_displaced(keyframe, revision, inconsistent=ratio > MAX_RATIO)
         self._newest = max((self._newest, *revision.born))
+        self._recent.append(self._newest)
         if ratio > MAX_RATIO:
             return INCONSISTENT, math.sqrt(ratio)
-        return (NONE, 0.0) if self._before is None else (DISPLACED, 0.0)
+        if self._before is not None:
+            return DISPLACED, 0.0
+        return (DRIFTING if biased else NONE), 0.0
 
     def _average(self, revision: Revision) -> None:
         keep = 1.0 - 1.0 / INNOVATION_WINDOW
@@ -71,7 +83,13 @@ class LandmarkWatch:
         """Update whether the robot is displaced; `inconsistent`: the innovations are too large."""
         found, seen = len(revision.matches), len(keyframe.observations)
         self._inconsistent = self._inconsistent + 1 if inconsistent else 0
-        if (keyframe.lost or keyframe.reason == SKIPPED) and self._newest >= 0:
+        first = self._recent[0]
+        if keyframe.reason == CARRIED and first >= 0:
+            # this may be found a second later, when the place already has new landmarks
+            usual = round(MIN_KNOWN_SHARE * max(found, self._matches))
+            if not self._is_known(keyframe, revision, first, usual) or inconsistent:
+                self._before, self._located, self._carried = first, 0, True
+        elif (keyframe.lost or keyframe.reason == SKIPPED) and self._newest >= 0:
             self._before, self._located = self._newest, 0
         elif self._before is None:
             fitting = found + len(revision.ambiguous)
@@ -80,15 +98,24 @@ class LandmarkWatch:
             self._missing = self._missing + (1 if found else 2) if missing else 0
             if max(self._inconsistent, self._missing) >= MIN_KEYFRAMES:
                 self._before, self._located = self._newest, 0
+            elif self._biased >= MIN_KEYFRAMES:  # newer landmarks are off by as much as the pose
+                self._before, self._located = first, 0
         else:
-            known = [match for match in revision.matches if match.landmark <= self._before]
-            located = len(known) >= max(MIN_MATCHES, MIN_KNOWN_SHARE * found) and not inconsistent
-            located = located and is_located([keyframe.observations[m.observation] for m in known])
+            share = 1.0 if self._carried else MIN_KNOWN_SHARE
+            count = max(min(MIN_MATCHES, int(self._matches)), share * found)
+            located = not (inconsistent or self._biased)
+            located = located and self._is_known(keyframe, revision, self._before, count)
             self._located = self._located + 1 if located else 0
             if self._located >= MIN_KEYFRAMES:
-                self._before, self._missing = None, 0
+                self._before, self._missing, self._carried = None, 0, False
         if not self._missing:
             self._matches += (found - self._matches) / MATCH_WINDOW
+
+    @staticmethod
+    def _is_known(keyframe: Keyframe, revision: Revision, newest: int, count: float) -> bool:
+        """Return whether matches with landmarks up to `newest`, at least `count`, locate the robot."""
+        known = [match.observation for match in revision.matches if match.landmark <= newest]
+        return len(known) >= count and is_located([keyframe.observations[k] for k in known])
 
 
 def is_located(seen: Iterable[Observation]) -> bool:

@@ -17,7 +17,7 @@ from impslam.columns import Motions, Sweeps
 from impslam.component import Component, parameter
 from impslam.geometry.chain import advance, advance_pose
 from impslam.geometry.kernels import kernel
-from impslam.health import ELSEWHERE, OPPOSED, SLIPPED, STALLED, Reasons
+from impslam.health import CARRIED, ELSEWHERE, OPPOSED, SLIPPED, STALLED, Reasons
 from impslam.map import Keyframe, Track
 from impslam.parameters import Parameters
 from impslam.sources.base import Problems
@@ -31,6 +31,10 @@ _CONTRADICTED = (
 _OPPOSED = (
     "up to the scan at {:.3f} s odometry and scans turn opposite ways: check that the wheels are not "
     "swapped, and sensors.*.upside_down"
+)
+_CARRIED = (
+    "static objects vanished or appeared at once before the scan at {:.3f} s: the robot was carried, the "
+    "lidar was moved, or it looks through glass"
 )
 
 
@@ -168,6 +172,7 @@ class Tracker(Component):
         self._note("turns against scans", _OPPOSED, sweeps, steps.reasons == OPPOSED)
         contradicted = (steps.reasons >= SLIPPED) & (steps.reasons <= STALLED)
         self._note("odometry against scans", _CONTRADICTED, sweeps, contradicted)
+        self._note("robot carried", _CARRIED, sweeps, steps.reasons == CARRIED)
         for name, others in self._travelled.items():  # sensors see different things
             if name != sweeps.sensor:
                 mark_keyframes(steps.moved, motions.duration, Gate(np.full(3, math.inf), others))

@@ -11,11 +11,10 @@ import math
 
 import numpy as np
 
-from impslam.geometry.algebra import between
 from impslam.geometry.chain import advance_pose
 from impslam.geometry.kernels import kernel
 from impslam.surfaces.surface_map import CELL, SurfaceMap
-from impslam.tracking.reference_scan import Geometry, beam_towards
+from impslam.tracking.reference_scan import Geometry, beam_towards, laser_motion, seen_from
 from impslam.types import Array, Mask
 
 MIN_CONTRADICTED = 0.12
@@ -43,30 +42,24 @@ def contradicted_share(
     the frame of the map.
     """
     n = len(ranges)
-    laser, last_laser, back = pose.copy(), last_pose.copy(), np.empty(3)
+    laser, to_last = pose.copy(), laser_motion(last_pose, pose, geometry)
     advance_pose(laser, geometry.laser)
-    advance_pose(last_laser, geometry.laser)
-    between(last_laser, laser, back)
     scan = np.where(valid, ranges, 0.0)
-    free, free_before = _free_ranges(scan, geometry), _free_ranges(last_ranges, geometry)
+    free, free_before = free_ranges(scan, geometry), free_ranges(last_ranges, geometry)
     surfaces = _nearest_surfaces(laser, surface_map, n, geometry)
-    c, s = math.cos(back[2]), math.sin(back[2])
     contradicted = count = 0
     for i in range(n):
         if not valid[i]:
             continue
         count += 1
-        angle = geometry.first + i * geometry.spacing
-        x, y = ranges[i] * math.cos(angle), ranges[i] * math.sin(angle)
-        ex, ey = back[0] + c * x - s * y, back[1] + s * x + c * y
-        k = beam_towards(math.atan2(ey, ex), n, geometry)
-        appeared = k >= 0 and math.hypot(ex, ey) < free_before[k] - CLEARANCE
+        k, reach = seen_from(i, ranges[i], to_last, n, geometry)
+        appeared = k >= 0 and reach < free_before[k] - CLEARANCE
         contradicted += appeared or surfaces[i] < free[i] - CLEARANCE
     return contradicted / max(count, 1)
 
 
 @kernel
-def _free_ranges(ranges: Array, geometry: Geometry) -> Array:
+def free_ranges(ranges: Array, geometry: Geometry) -> Array:
     """Return the shortest range (n,) within `TURN_CLEARANCE` of each beam; 0 if one of them is invalid."""
     n, free = len(ranges), np.zeros(len(ranges))
     width = math.ceil(TURN_CLEARANCE / abs(geometry.spacing)) if geometry.spacing != 0.0 else 0

@@ -7,8 +7,9 @@ from pydantic import PrivateAttr
 
 from impslam.columns import Motions, Scans, Sweeps
 from impslam.component import register
-from impslam.health import MISTIMED
+from impslam.health import CARRIED, CHANGED, MISTIMED
 from impslam.tracking.base import Gate, Steps, Tracker, mark_keyframes
+from impslam.tracking.jump import JumpCheck
 from impslam.tracking.odometry_check import OdometryCheck
 from impslam.tracking.stall import StallState, initial_stall_state, undo_stalled_motion
 from impslam.tracking.surfels import prepare
@@ -21,6 +22,7 @@ class OdometryTracker(Tracker):
 
     _check: OdometryCheck = PrivateAttr(default_factory=OdometryCheck)
     _traction: Traction = PrivateAttr(default_factory=Traction)
+    _jumps: JumpCheck = PrivateAttr(default_factory=JumpCheck)
     _stalls: dict[str, StallState] = PrivateAttr(default_factory=dict)
 
     def steps(self, motions: Motions, sweeps: Sweeps, gate: Gate) -> Steps:
@@ -36,7 +38,12 @@ class OdometryTracker(Tracker):
             )
         reasons = np.maximum(reasons, slipped)
         amounts[reasons > MISTIMED] = 0.0
-        keyframes = mark_keyframes(checked.d_pose, motions.duration, gate)
+        if scans is not None:
+            shares, confirmed = self._jumps.find(checked, scans, sweeps.sensor)
+            changed = shares > 0.0
+            reasons[changed], amounts[changed] = CHANGED, shares[changed]
+            reasons[confirmed] = CARRIED
+        keyframes = (reasons == CARRIED) | mark_keyframes(checked.d_pose, motions.duration, gate)
         return Steps(
             checked.d_pose, checked.covariance, checked.d_pose, np.ones(m, np.bool_), keyframes,
             np.zeros(m, np.bool_), reasons, amounts,

@@ -1,4 +1,4 @@
-"""Predict which beams of a reference scan a motion changes."""
+"""Predict what a beam measures after a motion, from the scan before it."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from impslam.columns import Scans
+from impslam.geometry.algebra import between
+from impslam.geometry.chain import advance_pose
 from impslam.geometry.kernels import kernel, plain
 from impslam.types import Array
 
@@ -69,3 +71,24 @@ def beam_towards(direction: float, beams: int, geometry: Geometry) -> int:
         angle += math.copysign(2.0 * math.pi, geometry.spacing)
     k = int(angle / geometry.spacing + 0.5)
     return k if k < beams else -1
+
+
+@kernel
+def laser_motion(before: Array, after: Array, geometry: Geometry) -> Array:
+    """Return the pose (3,) of the laser after a motion of base_link, in its frame before."""
+    first, second, motion = before.copy(), after.copy(), np.empty(3)
+    advance_pose(first, geometry.laser)
+    advance_pose(second, geometry.laser)
+    between(first, second, motion)
+    return motion
+
+
+@kernel
+def seen_from(
+    i: int, reach: float, T_other_laser: Array, beams: int, geometry: Geometry
+) -> tuple[int, float]:
+    """Return the beam of another scan that points to the end of beam i, and the range there in m."""
+    angle = geometry.first + i * geometry.spacing + T_other_laser[2]
+    x = T_other_laser[0] + reach * math.cos(angle)
+    y = T_other_laser[1] + reach * math.sin(angle)
+    return beam_towards(math.atan2(y, x), beams, geometry), math.hypot(x, y)

@@ -1,0 +1,139 @@
+"""A robot that is carried while its wheels stand still, and one that drives past people."""
+
+import numpy as np
+import pytest
+from tests.tracking.test_contradictions import ANGLES, GEOMETRY, WORLD, scan_at
+
+from impslam.columns import Motions, Scans
+from impslam.geometry.se2 import between
+from impslam.tracking.jump import MAX_INTERVAL, JumpCheck
+
+STEP = 0.03
+RATE = 10.0
+
+
+def person(x, y):
+    """Return the sides of a box of 30 cm at (x, y)."""
+    offsets = np.array([[0, 0], [0.3, 0], [0.3, 0.3], [0, 0.3]])
+    corners = offsets + np.array([x, y])
+    return [[corners[k], corners[(k + 1) % 4]] for k in range(4)]
+
+
+def drive(n=40, start=(-1.0, 0.0, 0.0)):
+    """Return poses (n, 3) of a robot that drives ahead."""
+    return np.array(start) + STEP * np.arange(n)[:, None] * (np.cos(start[2]), np.sin(start[2]), 0)
+
+
+def shares(
+    poses,
+    people=(),
+    *,
+    odometry=None,
+    interval=1.0 / RATE,
+    cut=0,
+    check=None,
+    sensor="a",
+    whole=False,
+):
+    """Return the shares of scans at true poses; `people` gives the walls that each scan sees as well."""
+    rng, m = np.random.default_rng(1), len(poses)
+    extra = [people[k] if len(people) else [] for k in range(m)]
+    ranges = np.array(
+        [scan_at(p, np.array([*WORLD, *e], float)) for p, e in zip(poses, extra, strict=True)]
+    )
+    ranges += 0.005 * rng.standard_normal(ranges.shape)
+    wheels = poses if odometry is None else odometry
+    d_pose = np.vstack((np.zeros(3), between(wheels[:-1], wheels[1:])))
+    points = np.zeros((m, len(ANGLES), 2))
+    valid = np.isfinite(ranges)
+    check = check or JumpCheck()
+    out = []
+    for rows in (slice(0, cut), slice(cut, m)) if cut else (slice(0, m),):
+        scans = Scans(
+            np.arange(m)[rows] * interval, ANGLES, ranges[rows], valid[rows], points[rows],
+            ranges[rows], points[rows], ranges[rows], 0.0, 30.0, GEOMETRY.laser,
+        )  # fmt: skip
+        motions = Motions(
+            scans.stamps, d_pose[rows], np.zeros((len(d_pose[rows]), 3, 3)),
+            np.full(len(d_pose[rows]), interval),
+        )  # fmt: skip
+        out.append(check.find(motions, scans, sensor))
+    found, confirmed = (np.concatenate(parts) for parts in zip(*out, strict=True))
+    return (found, confirmed) if whole else found
+
+
+def carried():
+    """Return true poses of a robot that is carried from the room to the hall, and those by odometry."""
+    before, after = drive(20), drive(20, (6.0, -3.0, 1.2))
+    wheels = np.concatenate((before, drive(20, tuple(before[-1]))))
+    return np.concatenate((before, after)), wheels
+
+
+def test_a_robot_that_drives_is_not_carried():
+    assert not shares(drive(100, (-1.5, -1.0, 0.3))).any()
+
+
+def test_a_robot_that_turns_in_the_door_is_not_carried():
+    turning = np.array([[2.9, 0.0, 0.05 * k] for k in range(80)])
+    assert not shares(turning).any()
+
+
+def test_a_carried_robot_is_found_in_the_first_scan_and_confirmed_by_the_second():
+    poses, wheels = carried()
+    found, confirmed = shares(poses, odometry=wheels, whole=True)
+    assert np.flatnonzero(found)[0] == 20
+    assert found[20] > 0.1
+    assert np.flatnonzero(confirmed)[0] == 21
+
+
+def test_a_scan_that_misses_an_object_once_confirms_nothing():
+    """A lidar that pitches looks over the object, and sees it again in the next scan."""
+    box, poses = person(1.0, 0.2), np.zeros((50, 3))
+    found, confirmed = shares(poses, [box] * 25 + [[]] + [box] * 24, whole=True)
+    assert np.flatnonzero(found).tolist() == [25]
+    assert not confirmed.any()
+
+
+def test_results_do_not_depend_on_how_scans_are_cut():
+    poses, wheels = carried()
+    whole = shares(poses, odometry=wheels)
+    for cut in (1, 15, 20, 21, 33):
+        np.testing.assert_array_equal(shares(poses, odometry=wheels, cut=cut), whole)
+
+
+def test_an_object_that_appears_and_stays_is_found_when_it_is_known_to_be_static():
+    poses, box = np.zeros((40, 3)), person(1.0, 0.2)
+    found = shares(poses, [[]] * 20 + [box] * 20)
+    assert np.flatnonzero(found).tolist() == [20 + int(RATE)]
+
+
+def test_people_who_walk_past_are_left_out():
+    walker = [person(0.8, -1.5 + 0.1 * k) for k in range(40)]
+    assert not shares(drive(40), walker).any()
+
+
+def test_a_person_who_enters_and_leaves_within_a_second_is_left_out():
+    poses = np.zeros((40, 3))
+    assert not shares(poses, [[]] * 20 + [person(1.0, 0.2)] * 5 + [[]] * 15).any()
+
+
+def test_scans_that_are_far_apart_in_time_are_not_compared():
+    poses, wheels = carried()
+    assert not shares(poses, odometry=wheels, interval=1.01 * MAX_INTERVAL).any()
+
+
+def test_scans_of_two_lidars_are_not_compared_with_each_other():
+    check, poses = JumpCheck(), drive(20)
+    assert not shares(poses, check=check).any()
+    assert not shares(drive(20, (6.0, -3.0, 1.2)), check=check, sensor="b").any()
+
+
+@pytest.mark.parametrize("beams", [0, 1])
+def test_scans_of_hardly_any_beam_show_nothing(beams):
+    empty = np.zeros((5, beams))
+    scans = Scans(
+        np.arange(5.0), np.zeros(beams), empty, empty > 0, np.zeros((5, beams, 2)), empty,
+        np.zeros((5, beams, 2)), empty, 0.0, 30.0, GEOMETRY.laser,
+    )  # fmt: skip
+    motions = Motions(scans.stamps, np.zeros((5, 3)), np.zeros((5, 3, 3)), np.full(5, 0.1))
+    assert not JumpCheck().find(motions, scans, "a")[0].any()

@@ -1,6 +1,6 @@
 """Maps of recorded buildings with other lidars: fewer beams, a narrower view, a shorter range, more noise.
 
-    python -m benchmarks.lidars --data ../shared/data                  # about five minutes on two cores
+    python -m benchmarks.lidars --data ../shared/data                  # 1.5 min on two cores
     python -m benchmarks.lidars --data ../shared/data --plot FILE
 
 Each lidar is emulated from the scans of the log, which has 180 beams at 1 degree and ranges of 30 m or
@@ -10,7 +10,7 @@ more. Then the whole log is mapped with the default config, and with the odometr
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 from multiprocessing import get_context
@@ -140,7 +140,7 @@ def outcome(task: tuple[Path, str, str, bool]) -> Outcome:
 def table(found: Sequence[Outcome]) -> str:
     """Return errors and closures by lidar, a column for each log with and without odometry."""
     columns = list(dict.fromkeys((o.log, o.alone) for o in found))
-    heads = [f"{log}, lidar alone" if alone else log for log, alone in columns]
+    heads = [_heading(log, alone=alone) for log, alone in columns]
     lines = [
         "mean (worst) relation error in m, loop closures",
         "| lidar | " + " | ".join(heads) + " |",
@@ -153,6 +153,10 @@ def table(found: Sequence[Outcome]) -> str:
     return "\n".join(lines)
 
 
+def _heading(log: str, *, alone: bool) -> str:
+    return f"{log}, lidar alone" if alone else log
+
+
 def plot(found: Sequence[Outcome], path: Path) -> None:
     """Draw the mean relation errors."""
     from matplotlib.figure import Figure  # noqa: PLC0415  only here
@@ -161,15 +165,14 @@ def plot(found: Sequence[Outcome], path: Path) -> None:
     figure = Figure(figsize=(9.0, 5.2), layout="constrained")
     axes = figure.subplots()
     columns = list(dict.fromkeys((o.log, o.alone) for o in found))
-    marks: Callable[[bool], str] = lambda alone: "x" if alone else "o"  # noqa: E731
     for k, (log, alone) in enumerate(columns):
         some = [o for o in found if (o.log, o.alone) == (log, alone)]
         axes.plot(
             [o.mean for o in some],
             [lidars.index(o.lidar) + 0.12 * (k - 1.5) for o in some],
-            marks(alone),
+            "x" if alone else "o",
             color=f"C{LOGS.index(log)}",
-            label=f"{log}, lidar alone" if alone else log,
+            label=_heading(log, alone=alone),
         )
     axes.axvspan(BROKEN, 20.0, color="0.9", label="broken map")
     axes.set(xscale="log", xlim=(0.01, 20.0), xlabel="mean relation error, m")
@@ -198,7 +201,7 @@ def main() -> None:
     with get_context("spawn").Pool(given.jobs) as pool:
         for o in pool.imap(outcome, tasks):
             found.append(o)
-            print(f"{o.log} {o.lidar}{', lidar alone' * o.alone}: {o.mean:.3f} m", flush=True)
+            print(f"{_heading(o.log, alone=o.alone)}, {o.lidar}: {o.mean:.3f} m", flush=True)
     print(table(found))
     if given.plot:
         plot(found, given.plot)

@@ -67,7 +67,7 @@ _DESCRIPTIONS = (
     "odometry and scans turn opposite ways: wheels are swapped, or the lidar is mirrored",
     "no data for {0:.0f} s, and the robot has moved; the position is uncertain",
     "{1:.0f} % of the scan has changed at once; the position is uncertain",
-    "{1:.0f} % of the scan has changed at once: a move without odometry; the position is uncertain",
+    "{1:.0f} % of the scan has changed at once, as if the robot was carried; the position is uncertain",
     "landmarks correct odometry to one side all the time: the wheels slip, or parameters are wrong",
     "landmarks are {0:.1f} times as far from their positions as expected; the position is uncertain",
     "nothing known was seen for {0:.1f} m; the position is uncertain",

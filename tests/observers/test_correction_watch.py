@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from impslam.geometry.angles import wrap
 from impslam.geometry.se2 import compose, compose_uncertain
 from impslam.observers.correction_watch import CorrectionWatch
 
@@ -31,7 +32,7 @@ def drive(seed=0, n=2000, bias=(1.0, 0.0, 0.0), start=(0.0, 0.0, 0.0), informed=
             K = P @ np.linalg.inv(P + R)
             z = truth + rng.multivariate_normal(np.zeros(3), R)
             difference = z - pose
-            difference[2] = (difference[2] + np.pi) % (2.0 * np.pi) - np.pi
+            difference[2] = wrap(difference[2])
             pose, P = pose + K @ difference, (np.eye(3) - K) @ P
         keyframe = SimpleNamespace(motion=motion, lost=False)
         revision = SimpleNamespace(matches=[1], ids=[0], poses=pose[None], covariances=P[None])

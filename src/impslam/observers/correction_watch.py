@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from impslam.geometry.algebra import rotate_covariance
 from impslam.geometry.se2 import between, compose_uncertain
 from impslam.map import Keyframe, Revision
 from impslam.types import Array
@@ -17,7 +18,7 @@ from impslam.types import Array
 WINDOW = 20.0
 """Keyframes (2 m of travel) over which corrections are added up."""
 MAX_SCORE = 5.0
-"""Sum in standard deviations; chance exceeds it once in a million keyframes."""
+"""Sum in standard deviations; a normal variable exceeds it once in two million cases."""
 MAX_CORRECTION = 3.0
 """Standard deviations at which each correction is clipped: one wrong match does not decide."""
 MIN_SIGMA = np.array([1e-4, 1e-4, 1e-5])
@@ -40,9 +41,8 @@ class CorrectionWatch:
             predicted, P = compose_uncertain(
                 *self._last, keyframe.motion.d_pose, keyframe.motion.covariance
             )
-            c, s = np.cos(predicted[2]), np.sin(predicted[2])
-            R = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-            variance = np.maximum(np.diag(R @ (P - new[1]) @ R.T), 0.0)
+            in_robot = rotate_covariance(P - new[1], -predicted[2])
+            variance = np.maximum(np.diag(in_robot), 0.0)
             limit = MAX_CORRECTION * np.sqrt(variance)
             correction = np.clip(between(predicted, new[0]), -limit, limit)
             keep = 1.0 - 1.0 / WINDOW

@@ -1,11 +1,12 @@
-"""Checks whether landmarks are observed where the estimate predicts them, with two tests.
+"""Checks whether landmarks are observed where the estimate predicts them.
 
 The squared innovations per degree of freedom are 1 on average if the filter is consistent (Bar-Shalom et
 al. 2001, ch. 5.4); continuous slip, late scans or a lidar that has turned on its mount make them larger.
 And landmarks recognised at the last keyframe are in view at the next one: if most of them suddenly fit no
 landmark, the robot is displaced from the estimate. It remains so until earlier landmarks are recognised
 that determine the position along both axes: newer ones may be duplicates, and the two walls of a corridor
-look the same everywhere.
+look the same everywhere. The robot is also displaced if the tracker reports that it was carried, or if the
+landmarks correct odometry to one side (`CorrectionWatch`).
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ missing: the two walls along which a robot slips are still matched."""
 MIN_KNOWN_SHARE = 0.75
 """Share of matches with earlier landmarks that shows that the robot is located again."""
 MEMORY = 10
-"""Keyframes before a jump is reported, more than the second that the tracker may need to find it."""
+"""Keyframes whose new landmarks may belong to the new place: a jump is found up to a second later."""
 MIN_INFORMATION = 0.5
 """Information that matched landmarks must give along the worse axis, where a point gives 1: a wall gives
 none along itself, and one at 45 degrees to the others gives half."""

@@ -64,7 +64,9 @@ def free_ranges(ranges: Array, geometry: Geometry) -> Array:
     n, free = len(ranges), np.zeros(len(ranges))
     width = math.ceil(TURN_CLEARANCE / abs(geometry.spacing)) if geometry.spacing != 0.0 else 0
     for i in range(n):
-        free[i] = ranges[max(i - width, 0) : i + width + 1].min()
+        free[i] = ranges[i]
+        for k in range(max(i - width, 0), min(i + width + 1, n)):
+            free[i] = min(free[i], ranges[k])
     return free
 
 

@@ -37,12 +37,14 @@ class PastScans(NamedTuple):
     Attributes
     ----------
     ranges : (MAX_SCANS, n) m, 0 where invalid
+    free : (MAX_SCANS, n) m, their `free_ranges`
     poses, times : (MAX_SCANS, 3) and (MAX_SCANS,) s by odometry
     counts : (3,) scans added so far; scans whose points have been found static or not; and the scan
         before a change that is to be confirmed, else -1
     """
 
     ranges: Array
+    free: Array
     poses: Array
     times: Array
     counts: Ints
@@ -63,8 +65,13 @@ class JumpCheck:
         m, beams = scans.ranges.shape
         shares, confirmed, past = np.zeros(m), np.zeros(m, np.bool_), self._past.get(sensor)
         if past is None or past.ranges.shape[1] != beams:
-            ranges, poses = np.zeros((MAX_SCANS, beams)), np.zeros((MAX_SCANS, 3))
-            past = PastScans(ranges, poses, np.zeros(MAX_SCANS), np.array([0, 0, -1]))
+            past = PastScans(
+                np.zeros((MAX_SCANS, beams)),
+                np.zeros((MAX_SCANS, beams)),
+                np.zeros((MAX_SCANS, 3)),
+                np.zeros(MAX_SCANS),
+                np.array([0, 0, -1]),
+            )
             self._past[sensor] = past
         ranges = plain(np.where(scans.valid, scans.ranges, 0.0))
         motion = plain(motions.d_pose), plain(motions.duration)
@@ -90,7 +97,8 @@ def _find(
         new = counts[0]
         counts[0] += 1
         row = new % MAX_SCANS
-        past.ranges[row], past.poses[row], past.times[row] = ranges[k], pose, time[0]
+        past.ranges[row], past.free[row] = ranges[k], free_ranges(ranges[k], geometry)
+        past.poses[row], past.times[row] = pose, time[0]
         counts[1] = max(counts[1], new - MAX_SCANS + 3)
         shares[k], confirmed[k] = _vanished(new, past, geometry)
         while counts[1] < new and past.times[counts[1] % MAX_SCANS] <= time[0] - STATIC_TIME:
@@ -137,7 +145,7 @@ def _changed(still: int, scan: int, beside: int, past: PastScans, geometry: Geom
     still, scan, beside = still % MAX_SCANS, scan % MAX_SCANS, beside % MAX_SCANS
     if abs(past.times[scan] - past.times[beside]) > MAX_INTERVAL:
         return 0.0
-    ranges, free = past.ranges[scan], free_ranges(past.ranges[beside], geometry)
+    ranges, free = past.ranges[scan], past.free[beside]
     to_still = laser_motion(past.poses[still], past.poses[scan], geometry)
     to_beside = laser_motion(past.poses[beside], past.poses[scan], geometry)
     changed = count = 0

@@ -131,15 +131,15 @@ def part_of(keyframes: Keyframes, chosen: Mask) -> Keyframes:
     return replace(keyframes, **rows, starts=starts, points=points)
 
 
-def parts(seen: Steps) -> Iterator[tuple[Mask, Ints]]:
-    """Yield keyframes for a map, and scans to search in it."""
+def parts(seen: Steps) -> Iterator[tuple[str, Mask, Ints]]:
+    """Yield how the log is divided, keyframes for a map, and scans to search in it."""
     assert seen.known is not None
     poses, keys = seen.known.rows().poses, np.array(seen.keys)
     n = len(poses)
     seconds = np.arange(n) / n * np.ptp(seen.known.stamps)  # stamps may run backwards
     left = poses[:, 0] < np.median(poses[keys, 0])
-    for mapped in (seconds // BLOCK % 2 == 0, left):
-        yield mapped[keys], np.flatnonzero(~mapped)
+    for how, mapped in (("minutes", seconds // BLOCK % 2 == 0), ("halves", left)):
+        yield how, mapped[keys], np.flatnonzero(~mapped)
 
 
 def place_of(
@@ -175,7 +175,8 @@ def recorded(log: Path, count: int, seed: int) -> Iterator[Try]:
     map_log(config, source, [seen])
     assert seen.known is not None
     poses, rng = seen.known.rows().poses, np.random.default_rng(seed)
-    for mapped, others in parts(seen):
+    for how, mapped, others in parts(seen):
+        name = f"{log.stem}, {how}"
         chosen = part_of(seen.known.keyframes, mapped)
         relocaliser = Relocaliser(chosen)
         area = relocaliser.ground.area
@@ -184,9 +185,9 @@ def recorded(log: Path, count: int, seed: int) -> Iterator[Try]:
             truth, sought = poses[k], seen.view(k)
             place = place_of(relocaliser, chosen.poses, sought, truth)
             answer = timed(partial(relocaliser.find, sought))
-            yield Try(log.stem, "scan", *place, truth, *answer, area)
+            yield Try(name, "scan", *place, truth, *answer, area)
             answer = timed(way_before(relocaliser, seen, k).find)
-            yield Try(log.stem, "2 m", *place, truth, *answer, area)
+            yield Try(name, "2 m", *place, truth, *answer, area)
 
 
 def simulated(count: int, seed: int) -> Iterator[Try]:

@@ -8,6 +8,7 @@ from tests.extractors.scans import room
 from tests.recognition.halls import LASER, mapped, seen
 from tests.recognition.plans import walls, way
 
+from impslam.geometry.se2 import transform
 from impslam.recognition.beams import Beams, explain
 from impslam.recognition.everywhere import COARSE_POINTS, HEADINGS, search_everywhere
 from impslam.recognition.ground import CHANCE, DIRECTIONS, SECTOR, make_ground
@@ -42,6 +43,22 @@ def every_sum(ground, points):
             found = level[k, np.clip(v, 0, height - 1), np.clip(u, 0, width - 1)]
             sums[a] += np.where(inside, found, int(FULL * CHANCE))
     return np.where(free, sums, 0)
+
+
+def test_points_without_a_normal_count_for_every_direction_where_no_normal_is_known():
+    keyframes = mapped(PLAN, way(-2.0, 0.9, 1.5, 0.2, 6))
+    views = stored_views(keyframes)
+    for view_, pose in zip(views, keyframes.poses, strict=True):
+        y = transform(pose, view_.features[:, :2].astype(float))[:, 1]
+        view_.features[y > 2.1, 4] = 0.0  # the upper wall
+    ground = make_ground(keyframes, views)
+    column, lower, upper = np.floor(
+        (np.array([0.5, -1.5, 2.2]) - ground.corner[[0, 1, 1]]) / CELL
+    ).astype(int)
+    assert (ground.likelihood[0, :DIRECTIONS, upper, column] > FULL // 2).all()
+    along = ground.likelihood[0, [0, 2, 3], lower, column]  # this wall faces upwards: direction 1
+    assert ground.likelihood[0, 1, lower, column] > FULL // 2
+    assert (along <= FULL * CHANCE).all()
 
 
 @pytest.mark.parametrize("truth", [[-2.0, 1.0, 0.3], [1.3, -0.4, 2.8]])

@@ -117,7 +117,8 @@ def _likelihood(
 ) -> Bytes:
     """Return the likelihood of a point on a surface of each direction, and of any.
 
-    Objects that are not in the occupancy grid, such as passers-by, are left out.
+    Objects that are not in the occupancy grid, such as passers-by, are left out. Points without a normal,
+    as on walls that few beams hit, count for every direction if there is no normal nearby.
     """
     points, facing = _points(poses, views)
     columns, rows = np.floor((points - corner) / SIDE).astype(np.int64).T
@@ -127,9 +128,13 @@ def _likelihood(
     points, facing = np.ascontiguousarray(points[inside]), facing[inside]
     levels = np.empty((LEVELS, DIRECTIONS + 1, *free.shape), np.uint8)
     levels[0] = np.where(free, 0, np.uint8(FULL * CHANCE))
+    for k in range(DIRECTIONS):
+        draw(levels[0, k], corner, points, np.cos(facing - k * SECTOR) > MIN_FACING)
+    columns, rows = np.floor((points - corner) / CELL).astype(np.int64).T
+    is_known = levels[0, :DIRECTIONS, rows, columns].max(1) > FULL // 2
     for k in range(DIRECTIONS + 1):
-        chosen = np.cos(facing - k * SECTOR) > MIN_FACING  # False for NaN
-        draw(levels[0, k], corner, points, chosen | (k == DIRECTIONS))
+        chosen = np.isnan(facing) & ~is_known | (k == DIRECTIONS)
+        draw(levels[0, k], corner, points, chosen)
         pool(levels[:, k])
     return levels
 

@@ -70,3 +70,29 @@ def test_ranges_that_are_too_long_leave_the_truth_inside_the_covariance(error, i
     assert abs(off[0]) == pytest.approx(abs(error) * way[-1], abs=0.1)
     squared = off @ np.linalg.solve(slam.covariance, off)
     assert (squared < 16.3) == inside  # 99.9 % of a chi-square with three degrees of freedom
+
+
+@pytest.mark.parametrize("kind", ["landmarks", "smoothing"])
+def test_landmark_estimators_add_the_scale_to_what_they_report(kind):
+    if kind == "smoothing":
+        pytest.importorskip("gtsam")
+    angles, way = np.radians(np.arange(-180.0, 180.0)), np.arange(0.0, 8.0, 0.1)
+    ranges, stamps = np.array([ranges_in_room(x, angles) for x in way]), 0.2 * np.arange(len(way))
+    live, settled, marks = [], [], []
+    for sigma in (0.0, 0.02):
+        sets = [f"estimator.kind={kind}", f"estimator.scale_sigma={sigma}"]
+        slam = Slam("default", ["sensors.lidar.range_max=60", *sets])
+        slam.add_odometry(stamps, np.column_stack([way, 0.0 * way, 0.0 * way]))
+        slam.add_scans(stamps, ranges, angles)
+        live.append(slam.covariance)
+        known = slam.finish()
+        settled.append(known.rows().covariances[-1])
+        marks.append({m.id: m for m in known.landmarks})
+        last = known.rows().poses[-1]
+    added = with_scale(np.zeros((1, 3, 3)), last[None], np.zeros(2), 0.02)[0]
+    for found in (live, settled):  # a scan has the scale of the keyframe before it
+        np.testing.assert_allclose(found[1] - found[0], added, rtol=0.05, atol=1e-6)
+    assert marks[0]
+    for number, mark in marks[0].items():
+        both = landmark_with_scale(mark, np.zeros(2), 0.02).covariance
+        np.testing.assert_allclose(marks[1][number].covariance, both, rtol=1e-6, atol=1e-12)

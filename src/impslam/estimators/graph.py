@@ -25,7 +25,7 @@ from impslam.estimators.keyframe_log import (
     revised,
 )
 from impslam.estimators.loop_closing import LoopCloser, LoopSearch
-from impslam.estimators.map_scale import landmark_with_scale, with_scale
+from impslam.estimators.map_scale import landmark_with_scale, revision_with_scale
 from impslam.estimators.pose_graph import PoseGraph
 from impslam.estimators.restoring import MIN_SIGMA, restored
 from impslam.estimators.sessions import SessionPlacer
@@ -193,9 +193,7 @@ class Graph(Estimator):
         """Return a revision whose covariances include that of the scale; those of a frozen map do."""
         if self._known is not None:
             return revision
-        origin = self._graph.poses[0, :2]
-        covariances = with_scale(revision.covariances, revision.poses, origin, self.scale_sigma)
-        return replace(revision, covariances=covariances)
+        return revision_with_scale(revision, self._graph.poses[0, :2], self.scale_sigma)
 
     def settle(self) -> Revision | None:
         """Refine all keyframes jointly; see `Estimator.settle`."""

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
 from pydantic import PrivateAttr
 
 from impslam.association.base import Assignment, Association
-from impslam.component import register
+from impslam.component import parameter, register
 from impslam.errors import NumericalError
 from impslam.estimators.base import START_SIGMA, Estimator, check_keyframe, is_finite
 from impslam.estimators.blur import blurred
 from impslam.estimators.duplicates import Duplicates, with_kept_landmark
+from impslam.estimators.map_scale import landmark_with_scale, revision_with_scale
 from impslam.estimators.refused_fixes import RefusedFixes
 from impslam.estimators.slip import RECENT, Attempt, explains, slipped
 from impslam.filters.base import Filter
@@ -32,10 +33,21 @@ class Landmarks(Estimator):
     parts: ClassVar[tuple[str, ...]] = ("filter", "association", "lifecycle")
     takes_unique: ClassVar[bool] = True
 
+    scale_sigma: float = parameter(
+        0.0,
+        "1",
+        "standard deviation of the scale of a lidar's ranges, and so of the map; 0 if odometry is "
+        "calibrated with the lidar, or the lidar's `bias` covers it",
+        ge=0,
+        le=1,
+    )
+
     _filter: Filter = PrivateAttr()
     _association: Association = PrivateAttr()
     _lifecycle: Lifecycle = PrivateAttr()
     _models: Mapping[str, LandmarkModel] = PrivateAttr()
+    _origin: Array = PrivateAttr()
+    """(2,) m, the first position."""
     _motion: Increment = PrivateAttr()
     """The predicted motion to the newest keyframe, possibly with slip."""
     _recent: deque[set[int]] = PrivateAttr(default_factory=lambda: deque(maxlen=RECENT))
@@ -57,7 +69,7 @@ class Landmarks(Estimator):
         self._refuse_known(known)
         self._filter, self._association = parts["filter"], parts["association"]
         self._lifecycle, self._models = parts["lifecycle"], parts["models"]
-        self._duplicates = Duplicates()
+        self._duplicates, self._origin = Duplicates(), pose[:2].copy()
         self._filter.start(pose, START_SIGMA**2 * np.eye(3), self._models)
         self._lifecycle.start(self._models, self._association, self._filter.fresh())
 
@@ -186,11 +198,18 @@ class Landmarks(Estimator):
 
     def _revision(self, keyframe: Keyframe, **facts: Any) -> Revision:
         pose, covariance = self._filter.pose[None], self._filter.covariance[None]
-        return Revision(np.array([keyframe.id]), pose, covariance, **facts)
+        revision = Revision(np.array([keyframe.id]), pose, covariance, **facts)
+        return self._with_scale(revision)
+
+    def _with_scale(self, revision: Revision) -> Revision:
+        return revision_with_scale(revision, self._origin, self.scale_sigma)
 
     def landmarks(self) -> tuple[Landmark, ...]:
         """Return the landmarks in the form that users read."""
-        return self._filter.landmarks()
+        return self._landmarks_with_scale(self._filter.landmarks())
+
+    def _landmarks_with_scale(self, found: Iterable[Landmark]) -> tuple[Landmark, ...]:
+        return tuple(landmark_with_scale(m, self._origin, self.scale_sigma) for m in found)
 
     @property
     def state_size(self) -> int:

@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from impslam.map import Revision
 from impslam.types import Array, Landmark
 
 
@@ -25,11 +26,21 @@ def with_scale(covariances: Array, poses: Array, origin: Array, sigma: float) ->
     return out
 
 
+def revision_with_scale(revision: Revision, origin: Array, sigma: float) -> Revision:
+    """Return a revision whose covariances include that of the scale; see `with_scale`."""
+    if sigma == 0.0:
+        return revision
+    covariances = with_scale(revision.covariances, revision.poses, origin, sigma)
+    return replace(revision, covariances=covariances)
+
+
 def landmark_with_scale(landmark: Landmark, origin: Array, sigma: float) -> Landmark:
     """Return a landmark with a covariance that includes that of the scale; see `with_scale`.
 
     The scale changes the distance r of a line, and both coordinates of a point.
     """
+    if sigma == 0.0:
+        return landmark
     J = landmark.position - origin
     if landmark.is_line:
         r, alpha = landmark.parameters["r"], landmark.parameters["alpha"]

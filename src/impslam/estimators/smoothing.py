@@ -77,7 +77,7 @@ class Smoothing(Landmarks):
             observations = blurred(keyframe.observations, keyframe.motion, self._models)
             self._add_factors(observations, revision)
         moved = self._smoother.solve()
-        return self._synchronise(keyframe, revision, has_moved=moved > 0)
+        return self._with_scale(self._synchronise(keyframe, revision, has_moved=moved > 0))
 
     def _add(self, keyframe: Keyframe) -> Revision:
         for o in keyframe.observations:
@@ -123,8 +123,10 @@ class Smoothing(Landmarks):
             self._settled = best = self._smoother.optimum()
         except NumericalError as error:
             current = self._smoother.path()[self._nodes], self._covariances.array.copy()
-            return Revision(ids, *current, refused=f"the map is not refined: {error}")
-        return Revision(ids, best.poses[self._nodes], best.covariances[self._nodes])
+            refused = Revision(ids, *current, refused=f"the map is not refined: {error}")
+            return self._with_scale(refused)
+        poses, covariances = best.poses[self._nodes], best.covariances[self._nodes]
+        return self._with_scale(Revision(ids, poses, covariances))
 
     def landmarks(self) -> tuple[Landmark, ...]:
         """Return the landmarks of the graph; after `settle`, with marginals at the optimum."""
@@ -132,7 +134,8 @@ class Smoothing(Landmarks):
             return super().landmarks()
         best, moved = self._settled.landmarks, self._filter.copied()
         moved.follow(self._settled.poses[-1], {n: best[n][0] for n in self._dims})
-        return tuple(self._with_marginal(mark, *best[mark.id]) for mark in moved.landmarks())
+        found = (self._with_marginal(mark, *best[mark.id]) for mark in moved.landmarks())
+        return self._landmarks_with_scale(found)
 
     def _with_marginal(self, mark: Landmark, m: Array, P: Array) -> Landmark:
         """Return a landmark of state m (dim,) with the covariance P (dim, dim) of that state."""
@@ -142,8 +145,9 @@ class Smoothing(Landmarks):
     def draft(self) -> Draft:
         """Return a snapshot of the estimate; see `Estimator.draft`."""
         landmarks, poses = super().landmarks(), self._smoother.path()[self._nodes]
-        covariances = self._covariances.array.copy()
-        revision = Revision(np.arange(len(poses)), poses, covariances) if len(poses) else None
+        revision, covariances = None, self._covariances.array.copy()
+        if len(poses):
+            revision = self._with_scale(Revision(np.arange(len(poses)), poses, covariances))
         return Draft(lambda: revision, lambda: landmarks)
 
     def counts(self) -> Mapping[str, int]:

@@ -230,7 +230,7 @@ class Tracker(Component):
     def _keyframe(self, tracked: _Tracked, row: int, d_pose: Array, covariance: Array) -> Keyframe:
         """Return the keyframe in a row, with the motion from the previous keyframe."""
         motions, steps, sweeps, odometry = tracked
-        stamp = float(motions.stamps[row])
+        stamp, reason = float(motions.stamps[row]), int(steps.reasons[row])
         return Keyframe(
             id=self._keyframes,
             stamp=float(sweeps.columns.stamps[row]),
@@ -241,8 +241,8 @@ class Tracker(Component):
             sweeps=sweeps,
             row=row,
             located=bool(steps.located[row]),
-            lost=bool(steps.reasons[row] == ELSEWHERE),
-            reason=int(steps.reasons[row]),
+            lost=reason == ELSEWHERE or (reason == CARRIED and self.matches_scans),
+            reason=reason,
             amount=float(steps.amounts[row]),
         )
 

@@ -8,6 +8,7 @@ rough ground, a lidar that pitches misses objects in a single scan, so a second 
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -39,8 +40,9 @@ class PastScans(NamedTuple):
     ranges : (MAX_SCANS, n) m, 0 where invalid
     free : (MAX_SCANS, n) m, their `free_ranges`
     poses, times : (MAX_SCANS, 3) and (MAX_SCANS,) s by odometry
-    counts : (3,) scans added so far; scans whose points have been found static or not; and the scan
-        before a change that is to be confirmed, else -1
+    counts : (5,) scans added so far; scans whose points have been found static or not; the scan before a
+        change that is to be confirmed, else -1; the first scan that is compared; and the number of the
+        place where it was taken
     """
 
     ranges: Array
@@ -48,6 +50,17 @@ class PastScans(NamedTuple):
     poses: Array
     times: Array
     counts: Ints
+
+
+def no_past(beams: int) -> PastScans:
+    """Return the state of a lidar with this number of beams before its first scan."""
+    return PastScans(
+        np.zeros((MAX_SCANS, beams)),
+        np.zeros((MAX_SCANS, beams)),
+        np.zeros((MAX_SCANS, 3)),
+        np.zeros(MAX_SCANS),
+        np.array([0, 0, -1, 0, 0]),
+    )
 
 
 class JumpCheck:
@@ -65,13 +78,7 @@ class JumpCheck:
         m, beams = scans.ranges.shape
         shares, confirmed, past = np.zeros(m), np.zeros(m, np.bool_), self._past.get(sensor)
         if past is None or past.ranges.shape[1] != beams:
-            past = PastScans(
-                np.zeros((MAX_SCANS, beams)),
-                np.zeros((MAX_SCANS, beams)),
-                np.zeros((MAX_SCANS, 3)),
-                np.zeros(MAX_SCANS),
-                np.array([0, 0, -1]),
-            )
+            past = no_past(beams)
             self._past[sensor] = past
         ranges = plain(np.where(scans.valid, scans.ranges, 0.0))
         motion = plain(motions.d_pose), plain(motions.duration)
@@ -89,45 +96,64 @@ def _find(
     geometry: Geometry,
     results: tuple[Array, Mask],
 ) -> None:
-    (d_pose, duration), (pose, time), counts = motions, now, past.counts
-    shares, confirmed = results
+    (d_pose, duration), (pose, time), (shares, confirmed) = motions, now, results
     for k in range(len(d_pose)):
         advance_pose(pose, d_pose[k])
         time[0] += duration[k]
-        new = counts[0]
-        counts[0] += 1
-        row = new % MAX_SCANS
-        past.ranges[row], past.free[row] = ranges[k], free_ranges(ranges[k], geometry)
-        past.poses[row], past.times[row] = pose, time[0]
-        counts[1] = max(counts[1], new - MAX_SCANS + 3)
-        shares[k], confirmed[k] = _vanished(new, past, geometry)
-        while counts[1] < new and past.times[counts[1] % MAX_SCANS] <= time[0] - STATIC_TIME:
-            scan = counts[1]
-            share = _changed(new, scan, scan - 1, past, geometry)
-            if share > 0.0 and _changed(new, scan, scan - 2, past, geometry) > 0.0:
-                shares[k], confirmed[k] = max(share, shares[k]), True
-            counts[1] += 1
+        shares[k], _, confirmed[k] = find_change(ranges[k], pose, time[0], past, geometry)
 
 
 @kernel
-def _vanished(new: int, past: PastScans, geometry: Geometry) -> tuple[float, bool]:
-    """Return the share of static points that this scan misses, and whether it confirms the last scan."""
+def find_change(
+    ranges: Array, pose: Array, time: float, past: PastScans, geometry: Geometry
+) -> tuple[float, float, bool]:
+    """Add a scan at a pose (3,) and time; return the change that it shows.
+
+    `ranges` (n,) are 0 where invalid. Returned are the share of the beams that show the change, 0 without
+    one; the extent of these points, m; and whether another scan confirms it.
+    """
+    counts, new = past.counts, past.counts[0]
+    counts[0] += 1
+    row = new % MAX_SCANS
+    past.ranges[row], past.free[row] = ranges, free_ranges(ranges, geometry)
+    past.poses[row], past.times[row] = pose, time
+    counts[1] = max(counts[1], new - MAX_SCANS + 3, counts[3])
+    share, extent, confirmed = _vanished(new, past, geometry)
+    while counts[1] < new and past.times[counts[1] % MAX_SCANS] <= time - STATIC_TIME:
+        scan = counts[1]
+        appeared, size = _changed(new, scan, scan - 1, past, geometry)
+        if appeared > 0.0 and _changed(new, scan, scan - 2, past, geometry)[0] > 0.0:
+            share, extent, confirmed = max(appeared, share), max(size, extent), True
+        counts[1] += 1
+    return share, extent, confirmed
+
+
+@kernel
+def forget(past: PastScans) -> None:
+    """Compare later scans only with each other: the robot is elsewhere."""
+    past.counts[1] = past.counts[3] = past.counts[0]
+    past.counts[2] = -1
+
+
+@kernel
+def _vanished(new: int, past: PastScans, geometry: Geometry) -> tuple[float, float, bool]:
+    """Return share and extent of the static points that a scan misses, and whether it confirms the last."""
     before = past.counts[2]
     if before >= 0:
         past.counts[2] = -1
-        share = _changed(_earlier(before, past), before, new, past, geometry)
+        share, extent = _changed(_earlier(before, past), before, new, past, geometry)
         if share > 0.0:
-            return share, True
-    share = _changed(_earlier(new - 1, past), new - 1, new, past, geometry)
+            return share, extent, True
+    share, extent = _changed(_earlier(new - 1, past), new - 1, new, past, geometry)
     if share > 0.0:
         past.counts[2] = new - 1
-    return share, False
+    return share, extent, False
 
 
 @kernel
 def _earlier(scan: int, past: PastScans) -> int:
     """Return the newest scan that is at least `STATIC_TIME` older than this one, -1 without one."""
-    oldest = max(past.counts[0] - MAX_SCANS, 0)
+    oldest = max(past.counts[0] - MAX_SCANS, past.counts[3])
     for k in range(scan - 1, oldest - 1, -1):
         if past.times[k % MAX_SCANS] <= past.times[scan % MAX_SCANS] - STATIC_TIME:
             return k
@@ -135,20 +161,23 @@ def _earlier(scan: int, past: PastScans) -> int:
 
 
 @kernel
-def _changed(still: int, scan: int, beside: int, past: PastScans, geometry: Geometry) -> float:
-    """Return the share of the points of a scan that are static but not in the scan beside it in time.
+def _changed(
+    still: int, scan: int, beside: int, past: PastScans, geometry: Geometry
+) -> tuple[float, float]:
+    """Return share and extent of the points of a scan that are static but not in the one beside it in time.
 
-    Static are points that the scan `still` shows as well. The share is 0 if it is too small.
+    Static are points that the scan `still` shows as well. Both are 0 if the share is too small.
     """
-    if still < 0 or beside < 0:
-        return 0.0
+    if min(still, beside) < past.counts[3]:
+        return 0.0, 0.0
     still, scan, beside = still % MAX_SCANS, scan % MAX_SCANS, beside % MAX_SCANS
     if abs(past.times[scan] - past.times[beside]) > MAX_INTERVAL:
-        return 0.0
+        return 0.0, 0.0
     ranges, free = past.ranges[scan], past.free[beside]
     to_still = laser_motion(past.poses[still], past.poses[scan], geometry)
     to_beside = laser_motion(past.poses[beside], past.poses[scan], geometry)
     changed = count = 0
+    low, high = np.full(2, math.inf), np.full(2, -math.inf)
     for i in range(len(ranges)):
         if ranges[i] <= 0.0:
             continue
@@ -156,9 +185,16 @@ def _changed(still: int, scan: int, beside: int, past: PastScans, geometry: Geom
         k, reach = seen_from(i, ranges[i], to_beside, len(ranges), geometry)
         if k >= 0 and reach < free[k] - CLEARANCE:
             k, reach = seen_from(i, ranges[i], to_still, len(ranges), geometry)
-            changed += k >= 0 and _measured(past.ranges[still], k, reach)
+            if k >= 0 and _measured(past.ranges[still], k, reach):
+                changed += 1
+                angle = geometry.first + i * geometry.spacing
+                x, y = ranges[i] * math.cos(angle), ranges[i] * math.sin(angle)
+                low[0], low[1] = min(low[0], x), min(low[1], y)
+                high[0], high[1] = max(high[0], x), max(high[1], y)
     share = changed / max(count, 1)
-    return share if changed >= MIN_BEAMS and share > MIN_SHARE else 0.0
+    if changed < MIN_BEAMS or share <= MIN_SHARE:
+        return 0.0, 0.0
+    return share, math.hypot(high[0] - low[0], high[1] - low[1])
 
 
 @kernel

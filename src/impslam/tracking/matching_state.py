@@ -5,11 +5,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from impslam.surfaces.surface_map import Alignment, FitSums
+from impslam.tracking.jump import PastScans
 from impslam.tracking.learned_odometry import LearnedOdometry
 from impslam.tracking.match_faults import MatchFaults, MatchQuality
 from impslam.tracking.reference_scan import Geometry
 from impslam.tracking.submaps import Submaps
-from impslam.types import Array, Mask
+from impslam.types import Array, Ints, Mask
 
 
 class Settings(NamedTuple):
@@ -31,11 +32,13 @@ class LidarState(NamedTuple):
     ranges : (n,) m, of its newest matched scan; 0 where invalid
     pose : (3,) of base_link at that scan, in the frame of the submaps
     added : (3,) pose of its newest scan in the submaps; NaN before the first
+    past : its last scans, to compare with the next ones
     """
 
     ranges: Array
     pose: Array
     added: Array
+    past: PastScans
 
 
 class State(NamedTuple):
@@ -54,6 +57,9 @@ class State(NamedTuple):
         between scans, s, and of that between matches, s
     evidence : of the newest match
     faults : whether the newest scans fit the submaps
+    time : (1,) s since the first scan
+    places : (2,) number of times that new maps have begun elsewhere; 1 if a robot that was carried is to be
+        reported with the next match, else 0
     lidar : the last scans of the lidar whose sweeps are followed
     """
 
@@ -70,6 +76,8 @@ class State(NamedTuple):
     averages: Array
     evidence: FitSums
     faults: MatchFaults
+    time: Array
+    places: Ints
     lidar: LidarState
 
 

@@ -22,6 +22,7 @@ from impslam.noise import UNKNOWN
 from impslam.surfaces.features import Features, find_features, leave_out_oblique
 from impslam.surfaces.surface_map import Alignment, align
 from impslam.tracking.base import Gate, Steps, add_travel, reaches_limit
+from impslam.tracking.carried import begin_place, notice_carried
 from impslam.tracking.contradictions import MIN_CONTRADICTED, contradicted_share
 from impslam.tracking.hypotheses import (
     Prediction,
@@ -103,15 +104,15 @@ def follow(
         out.d_pose[k], out.covariance[k] = state.motion, state.covariance
         at_limit = reaches_limit(gate, d_pose, motions.duration[k])
         in_doubt = state.faults.poor[0] > 0.0
-        wanted = at_limit or no_odometry or in_doubt
+        wanted = at_limit or no_odometry or in_doubt or state.places[1] > 0
         if wanted or _due(beams.ranges[k], beams.valid[k], state):
             count = _find_features(beams, k, no_odometry, settings, features)
             if count < MIN_POINTS:
                 state.submaps.travelled[0] += state.travelled[0]
             else:
                 _match(features[:count], k, no_odometry, beams, state, settings, out)
-                if out.reasons[k] == ELSEWHERE:  # the next maps begin here
-                    state.submaps.travelled[:], state.lidar.added[:] = math.nan, math.nan
+                if out.reasons[k] == ELSEWHERE:
+                    begin_place(state)
                 if out.reasons[k] != UNEXPLAINED:
                     _add_to_submaps(features[:count], k, beams, state, settings)
             out.reference[k] = True
@@ -122,6 +123,7 @@ def follow(
             out.reasons[k], out.amounts[k] = current_fault(state.faults, state.travelled[2])
         between(before, state.pose, out.moved[k])
         at_limit = reaches_limit(gate, out.moved[k], motions.duration[k])
+        at_limit |= notice_carried(beams, k, state, motions.duration[k], out)
         add_travel(gate, out.moved[k], motions.duration[k])
         out.is_keyframe[k] = out.reference[k] and (at_limit or out.reasons[k] == ELSEWHERE)
         if out.is_keyframe[k]:

@@ -13,6 +13,7 @@ from impslam.geometry.kernels import plain
 from impslam.noise import MotionNoise
 from impslam.surfaces.surface_map import Alignment, no_evidence
 from impslam.tracking.base import Gate, Steps, Tracker
+from impslam.tracking.jump import no_past
 from impslam.tracking.learned_odometry import initial_odometry
 from impslam.tracking.match_faults import initial_faults
 from impslam.tracking.matching_state import BeamColumns, LidarState, Settings, State
@@ -79,6 +80,8 @@ class ScanToMap(Tracker):
             averages=np.array([USUAL_SHARE, USUAL_RMS**2, 0.1, 0.0]),
             evidence=no_evidence(),
             faults=initial_faults(),
+            time=np.zeros(1),
+            places=np.zeros(2, np.int64),
             lidar=_no_scans(0),
         )
 
@@ -117,7 +120,7 @@ class ScanToMap(Tracker):
 
 def _no_scans(beams: int) -> LidarState:
     """Return the state of a lidar with this number of beams before its first scan."""
-    return LidarState(np.zeros(beams), np.zeros(3), np.full(3, np.nan))
+    return LidarState(np.zeros(beams), np.zeros(3), np.full(3, np.nan), no_past(beams))
 
 
 def _beams(scans: Scans | None, m: int) -> BeamColumns:

@@ -1,0 +1,57 @@
+"""Detect a robot that was carried while its scans are matched.
+
+A match may be found although the robot was carried, e.g. turned around in a corridor. Static objects that
+vanish or appear between scans at matched poses prove it (see `jump`), if they cannot be a person who
+stood still before.
+"""
+
+from __future__ import annotations
+
+import math
+
+from impslam.geometry.kernels import kernel
+from impslam.health import CARRIED, CHANGED
+from impslam.tracking.base import Steps
+from impslam.tracking.jump import find_change, forget
+from impslam.tracking.matching_state import BeamColumns, State
+
+CERTAIN_SHARE = 0.15
+"""Share of the beams that proves a change: more than a person a metre away covers."""
+MIN_SHARE, MIN_EXTENT = 0.05, 1.0
+"""Share of the beams, and m between the farthest points, that together prove it: a person is smaller. In
+recorded buildings, people change up to 0.047 of a scan."""
+
+
+@kernel
+def notice_carried(beams: BeamColumns, k: int, state: State, duration: float, out: Steps) -> bool:
+    """Return whether the robot was carried before sweep k; new maps then begin, and `out` says so.
+
+    The sweep that proves it may not be matched; the next one that is matched then says so.
+    """
+    past, places = state.lidar.past, state.places
+    state.time[0] += duration
+    if past.counts[4] != places[0]:  # this lidar has not seen the new place yet
+        forget(past)
+        past.counts[4] = places[0]
+    ranges = beams.ranges[k].copy()
+    for i in range(len(ranges)):
+        if not beams.valid[k, i]:
+            ranges[i] = 0.0
+    share, extent, confirmed = find_change(ranges, state.pose, state.time[0], past, beams.geometry)
+    certain = share > CERTAIN_SHARE or (share > MIN_SHARE and extent > MIN_EXTENT)
+    if certain and out.reasons[k] < CHANGED:
+        out.reasons[k], out.amounts[k] = CHANGED, share
+    places[1] = max(places[1], int(certain and confirmed))
+    if places[1] == 0 or not out.reference[k] or out.reasons[k] > CHANGED:
+        return False
+    out.reasons[k] = CARRIED
+    begin_place(state)
+    return True
+
+
+@kernel
+def begin_place(state: State) -> None:
+    """Begin new maps: the robot is at another place."""
+    state.submaps.travelled[:], state.lidar.added[:] = math.nan, math.nan
+    state.places[0] += 1
+    state.places[1] = 0

@@ -1,0 +1,84 @@
+"""A robot that is carried to a place where its scans still match: new maps begin, and it is reported."""
+
+import numpy as np
+import pytest
+from tests.extractors.scans import room
+from tests.tracking.sweeps import steps
+from tests.tracking.test_scan_to_map import PERIOD, odometry_of, scans_from
+
+from impslam.geometry.se2 import compose
+from impslam.health import CARRIED, CHANGED, NONE
+from impslam.tracking.scan_to_map import ScanToMap
+
+HALL = np.concatenate((
+    room(-6.0, 6.0, -2.0, 2.0), room(2.5, 3.1, 1.2, 1.8)[:, ::-1], room(1.0, 1.6, -1.8, -1.2)[:, ::-1],
+))  # fmt: skip
+"""Two boxes apart, it looks the same after half a turn."""
+HALF_TURN = np.array([0.0, 0.0, np.pi])
+LEFT = 20  # scans before
+
+
+def poses(scans=60, step=0.04):
+    """Return poses (m, 3) of a drive along the hall."""
+    drive = np.zeros((scans, 3))
+    drive[:, 0] = step * (np.arange(scans) - LEFT)
+    return drive
+
+
+def turned(drive):
+    """Return a drive of a robot that is turned by half between two scans."""
+    out = drive.copy()
+    out[LEFT:] = compose(np.tile(HALF_TURN, (len(drive) - LEFT, 1)), drive[LEFT:])
+    return out
+
+
+def followed(truth, odometry, people=None, cut=0):
+    """Return the steps for scans from true poses; the first scans show these walls as well."""
+    scans = scans_from(truth, HALL)
+    if people is not None:
+        scans[:LEFT] = scans_from(truth[:LEFT], np.concatenate((HALL, people)))
+    tracker, motions = ScanToMap(), odometry_of(odometry)
+    if not cut:
+        return [steps(tracker, motions, scans)]
+    return [steps(tracker, motions[a:b], scans[a:b]) for a, b in ((0, cut), (cut, len(scans)))]
+
+
+def test_a_robot_that_is_turned_where_it_stands_is_found_out():
+    drive = poses()
+    (out,) = followed(turned(drive), drive)
+    assert (out.reasons[:LEFT] == NONE).all()
+    assert out.reasons[LEFT] == CHANGED
+    at = np.flatnonzero(out.reasons == CARRIED)
+    assert len(at) == 1
+    assert LEFT < at[0] <= LEFT + 1.0 / PERIOD + 1
+    assert out.is_keyframe[at[0]]
+    assert out.reference[at[0]]
+    assert (out.reasons[at[0] + 1 :] == NONE).all()
+
+
+def test_a_robot_that_stands_is_reported_with_the_next_match():
+    drive = np.zeros((60, 3))
+    (out,) = followed(turned(drive), drive)
+    (at,) = np.flatnonzero(out.reasons == CARRIED)
+    assert LEFT < at <= LEFT + 1.0 / PERIOD + 2
+
+
+@pytest.mark.parametrize("cut", [LEFT, LEFT + 1, LEFT + 5])
+def test_cutting_the_scans_changes_nothing(cut):
+    drive = poses()
+    (whole,), parts = followed(turned(drive), drive), followed(turned(drive), drive, cut=cut)
+    for name in ("d_pose", "covariance", "reasons", "amounts", "is_keyframe"):
+        joined = np.concatenate([getattr(part, name) for part in parts])
+        np.testing.assert_array_equal(joined, getattr(whole, name))
+
+
+@pytest.mark.parametrize("x", [0.6, 1.5, 3.0])
+def test_a_person_who_stood_and_is_gone_is_no_new_place(x):
+    person = room(x, x + 0.3, -0.4, 0.1)[:, ::-1]
+    (out,) = followed(poses(), poses(), person)
+    assert CARRIED not in out.reasons
+
+
+def test_a_robot_that_drives_on_is_not_carried():
+    (out,) = followed(poses(), poses())
+    assert not out.reasons.any()

@@ -42,7 +42,7 @@ class PastScans(NamedTuple):
     poses, times : (MAX_SCANS, 3) and (MAX_SCANS,) s by odometry
     counts : (5,) scans added so far; scans whose points have been found static or not; the scan before a
         change that is to be confirmed, else -1; the first scan that is compared; and the number of the
-        place where it was taken
+        place that the lidar is at (see `carried`)
     """
 
     ranges: Array

@@ -51,6 +51,7 @@ def test_a_robot_that_is_turned_where_it_stands_is_found_out():
     at = np.flatnonzero(out.reasons == CARRIED)
     assert len(at) == 1
     assert LEFT < at[0] <= LEFT + 1.0 / PERIOD + 1
+    assert 0.05 < out.amounts[at[0]] < 0.5  # of the beams
     assert out.is_keyframe[at[0]]
     assert out.reference[at[0]]
     assert (out.reasons[at[0] + 1 :] == NONE).all()
@@ -60,6 +61,7 @@ def test_a_robot_that_stands_is_reported_with_the_next_match():
     drive = np.zeros((60, 3))
     (out,) = followed(turned(drive), drive)
     (at,) = np.flatnonzero(out.reasons == CARRIED)
+    assert 0.05 < out.amounts[at] < 0.5
     assert LEFT < at <= LEFT + 1.0 / PERIOD + 2
 
 

@@ -28,11 +28,11 @@ def notice_carried(beams: BeamColumns, k: int, state: State, duration: float, ou
 
     The sweep that proves it may not be matched; the next one that is matched then says so.
     """
-    past, places = state.lidar.past, state.places
+    past, proven = state.lidar.past, state.proven
     state.time[0] += duration
-    if past.counts[4] != places[0]:  # this lidar has not seen the new place yet
+    if past.counts[4] != state.places[0]:  # this lidar has not seen the new place yet
         forget(past)
-        past.counts[4] = places[0]
+        past.counts[4] = state.places[0]
     ranges = beams.ranges[k].copy()
     for i in range(len(ranges)):
         if not beams.valid[k, i]:
@@ -41,10 +41,11 @@ def notice_carried(beams: BeamColumns, k: int, state: State, duration: float, ou
     certain = share > CERTAIN_SHARE or (share > MIN_SHARE and extent > MIN_EXTENT)
     if certain and out.reasons[k] < CHANGED:
         out.reasons[k], out.amounts[k] = CHANGED, share
-    places[1] = max(places[1], int(certain and confirmed))
-    if places[1] == 0 or not out.reference[k] or out.reasons[k] > CHANGED:
+    if certain and confirmed:
+        proven[0] = max(proven[0], share)
+    if proven[0] == 0.0 or not out.reference[k] or out.reasons[k] > CHANGED:
         return False
-    out.reasons[k] = CARRIED
+    out.reasons[k], out.amounts[k] = CARRIED, proven[0]
     begin_place(state)
     return True
 
@@ -54,4 +55,4 @@ def begin_place(state: State) -> None:
     """Begin new maps: the robot is at another place."""
     state.submaps.travelled[:], state.lidar.added[:] = math.nan, math.nan
     state.places[0] += 1
-    state.places[1] = 0
+    state.proven[0] = 0.0

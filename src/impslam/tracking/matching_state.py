@@ -58,8 +58,8 @@ class State(NamedTuple):
     evidence : of the newest match
     faults : whether the newest scans fit the submaps
     time : (1,) s since the first scan
-    places : (2,) number of times that new maps have begun elsewhere; 1 if a robot that was carried is to be
-        reported with the next match, else 0
+    places : (1,) number of times that new maps have begun elsewhere
+    proven : (1,) share of the beams that prove that the robot was carried, until a match reports it; else 0
     lidar : the last scans of the lidar whose sweeps are followed
     """
 
@@ -78,6 +78,7 @@ class State(NamedTuple):
     faults: MatchFaults
     time: Array
     places: Ints
+    proven: Array
     lidar: LidarState
 
 

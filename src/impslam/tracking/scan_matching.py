@@ -104,7 +104,7 @@ def follow(
         out.d_pose[k], out.covariance[k] = state.motion, state.covariance
         at_limit = reaches_limit(gate, d_pose, motions.duration[k])
         in_doubt = state.faults.poor[0] > 0.0
-        wanted = at_limit or no_odometry or in_doubt or state.places[1] > 0
+        wanted = at_limit or no_odometry or in_doubt or state.proven[0] > 0.0
         if wanted or _due(beams.ranges[k], beams.valid[k], state):
             count = _find_features(beams, k, no_odometry, settings, features)
             if count < MIN_POINTS:

@@ -81,7 +81,8 @@ class ScanToMap(Tracker):
             evidence=no_evidence(),
             faults=initial_faults(),
             time=np.zeros(1),
-            places=np.zeros(2, np.int64),
+            places=np.zeros(1, np.int64),
+            proven=np.zeros(1),
             lidar=_no_scans(0),
         )
 

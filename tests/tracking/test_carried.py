@@ -13,7 +13,7 @@ from impslam.tracking.scan_to_map import ScanToMap
 HALL = np.concatenate((
     room(-6.0, 6.0, -2.0, 2.0), room(2.5, 3.1, 1.2, 1.8)[:, ::-1], room(1.0, 1.6, -1.8, -1.2)[:, ::-1],
 ))  # fmt: skip
-"""Two boxes apart, it looks the same after half a turn."""
+"""It looks the same after half a turn, except for two boxes."""
 HALF_TURN = np.array([0.0, 0.0, np.pi])
 LEFT = 20  # scans before
 

@@ -36,8 +36,8 @@ class Landmarks(Estimator):
     scale_sigma: float = parameter(
         0.0,
         "1",
-        "standard deviation of the scale of a lidar's ranges, and so of the map; 0 if odometry is "
-        "calibrated with the lidar, or the lidar's `bias` covers it",
+        "standard deviation of the scale of a lidar's ranges, and so of the map; with 0, covariances "
+        "are in the metres of the lidar",
         ge=0,
         le=1,
     )

@@ -74,9 +74,9 @@ class Encoders(Odometry):
     slip: MotionNoise = parameter(
         MotionNoise(forward=0.0, sideways=0.01, turn_per_distance=0.01, turn_per_turn=0.05),
         "",
-        "errors that the encoders do not measure: slip, sideways motion, a wrong track. Wheels slip "
-        "sideways by 2 to 2.6 mm/sqrt(m) on smooth floor (OptiOdom, 119 drives); the rest of it, and "
-        "the turns, allow for parameters of the wheels that are off by some per cent",
+        "errors that the encoders do not measure: slip, sideways motion, a wrong track. On smooth "
+        "floor, wheels slip sideways by 2 to 2.6 mm/sqrt(m) (OptiOdom, 119 drives). The default is "
+        "larger, because parameters of the wheels may be off by some per cent",
     )
     constant_speed: float = parameter(
         0.0,

@@ -41,7 +41,7 @@ which are not independent: they share walls, people in view and errors of the ma
 WRONG_SCORE, CHANCE_GAIN, MIN_CHANCE = -0.5, 9.3, 0.4
 """The best place of a map scores `WRONG_SCORE` + `CHANCE_GAIN` / sqrt(n) by chance, for n independent
 points: the mean score of wrong places, and what the best of many of them gains. The lower bound allows for
-rooms that look alike. Of 853 single scans outside the maps of two offices, 4 scored higher by 0.13, and of
+rooms that look alike. Of 626 single scans outside the maps of two offices, 4 scored higher by 0.13, and of
 as many drives of 2 m none."""
 FOUND_ODDS = 0.98  # then the second place is at least 0.13 behind
 

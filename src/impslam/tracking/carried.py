@@ -17,9 +17,9 @@ from impslam.tracking.matching_state import BeamColumns, State
 
 CERTAIN_SHARE = 0.15
 """Share of the beams that proves a change: more than a person a metre away covers."""
-MIN_SHARE, MIN_EXTENT = 0.05, 1.0
-"""Share of the beams, and m between the farthest points, that together prove it: a person is smaller. In
-recorded buildings, people change up to 0.047 of a scan."""
+SPREAD_SHARE, MIN_EXTENT = 0.05, 1.0
+"""Share of the beams, and m of extent of their points, that together prove it: a person is smaller. In
+recorded buildings, changes that a second scan confirms are up to 0.047 of a scan."""
 
 
 @kernel
@@ -30,15 +30,13 @@ def notice_carried(beams: BeamColumns, k: int, state: State, duration: float, ou
     """
     past, proven = state.lidar.past, state.proven
     state.time[0] += duration
-    if past.counts[4] != state.places[0]:  # this lidar has not seen the new place yet
+    if past.place[0] != state.places[0]:  # this lidar has not seen the new place yet
         forget(past)
-        past.counts[4] = state.places[0]
-    ranges = beams.ranges[k].copy()
-    for i in range(len(ranges)):
-        if not beams.valid[k, i]:
-            ranges[i] = 0.0
-    share, extent, confirmed = find_change(ranges, state.pose, state.time[0], past, beams.geometry)
-    certain = share > CERTAIN_SHARE or (share > MIN_SHARE and extent > MIN_EXTENT)
+        past.place[0] = state.places[0]
+    share, extent, confirmed = find_change(
+        beams.ranges[k], state.pose, state.time[0], past, beams.geometry
+    )
+    certain = share > CERTAIN_SHARE or (share > SPREAD_SHARE and extent > MIN_EXTENT)
     if certain and out.reasons[k] < CHANGED:
         out.reasons[k], out.amounts[k] = CHANGED, share
     if certain and confirmed:

@@ -40,16 +40,21 @@ class PastScans(NamedTuple):
     ranges : (MAX_SCANS, n) m, 0 where invalid
     free : (MAX_SCANS, n) m, their `free_ranges`
     poses, times : (MAX_SCANS, 3) and (MAX_SCANS,) s by odometry
-    counts : (5,) scans added so far; scans whose points have been found static or not; the scan before a
-        change that is to be confirmed, else -1; the first scan that is compared; and the number of the
-        place that the lidar is at (see `carried`)
+    added, first : (1,) number of scans so far, and the first of them that is still compared
+    judged : (1,) number of scans whose points have been found static or not
+    unconfirmed : (1,) the scan before a change that is to be confirmed, else -1
+    place : (1,) the number of the place that the lidar is at; see `carried`
     """
 
     ranges: Array
     free: Array
     poses: Array
     times: Array
-    counts: Ints
+    added: Ints
+    first: Ints
+    judged: Ints
+    unconfirmed: Ints
+    place: Ints
 
 
 def no_past(beams: int) -> PastScans:
@@ -59,7 +64,11 @@ def no_past(beams: int) -> PastScans:
         np.zeros((MAX_SCANS, beams)),
         np.zeros((MAX_SCANS, 3)),
         np.zeros(MAX_SCANS),
-        np.array([0, 0, -1, 0, 0]),
+        added=np.zeros(1, np.int64),
+        first=np.zeros(1, np.int64),
+        judged=np.zeros(1, np.int64),
+        unconfirmed=np.full(1, -1),
+        place=np.zeros(1, np.int64),
     )
 
 
@@ -112,48 +121,48 @@ def find_change(
     `ranges` (n,) are 0 where invalid. Returned are the share of the beams that show the change, 0 without
     one; the extent of these points, m; and whether another scan confirms it.
     """
-    counts, new = past.counts, past.counts[0]
-    counts[0] += 1
+    judged, new = past.judged, past.added[0]
+    past.added[0] += 1
     row = new % MAX_SCANS
     past.ranges[row], past.free[row] = ranges, free_ranges(ranges, geometry)
     past.poses[row], past.times[row] = pose, time
-    counts[1] = max(counts[1], new - MAX_SCANS + 3, counts[3])
+    judged[0] = max(judged[0], new - MAX_SCANS + 3, past.first[0])
     share, extent, confirmed = _vanished(new, past, geometry)
-    while counts[1] < new and past.times[counts[1] % MAX_SCANS] <= time - STATIC_TIME:
-        scan = counts[1]
+    while judged[0] < new and past.times[judged[0] % MAX_SCANS] <= time - STATIC_TIME:
+        scan = judged[0]
         appeared, size = _changed(new, scan, scan - 1, past, geometry)
         if appeared > 0.0 and _changed(new, scan, scan - 2, past, geometry)[0] > 0.0:
             share, extent, confirmed = max(appeared, share), max(size, extent), True
-        counts[1] += 1
+        judged[0] += 1
     return share, extent, confirmed
 
 
 @kernel
 def forget(past: PastScans) -> None:
     """Compare later scans only with each other: the robot is elsewhere."""
-    past.counts[1] = past.counts[3] = past.counts[0]
-    past.counts[2] = -1
+    past.judged[0] = past.first[0] = past.added[0]
+    past.unconfirmed[0] = -1
 
 
 @kernel
 def _vanished(new: int, past: PastScans, geometry: Geometry) -> tuple[float, float, bool]:
     """Return share and extent of the static points that a scan misses, and whether it confirms the last."""
-    before = past.counts[2]
+    before = past.unconfirmed[0]
     if before >= 0:
-        past.counts[2] = -1
+        past.unconfirmed[0] = -1
         share, extent = _changed(_earlier(before, past), before, new, past, geometry)
         if share > 0.0:
             return share, extent, True
     share, extent = _changed(_earlier(new - 1, past), new - 1, new, past, geometry)
     if share > 0.0:
-        past.counts[2] = new - 1
+        past.unconfirmed[0] = new - 1
     return share, extent, False
 
 
 @kernel
 def _earlier(scan: int, past: PastScans) -> int:
     """Return the newest scan that is at least `STATIC_TIME` older than this one, -1 without one."""
-    oldest = max(past.counts[0] - MAX_SCANS, past.counts[3])
+    oldest = max(past.added[0] - MAX_SCANS, past.first[0])
     for k in range(scan - 1, oldest - 1, -1):
         if past.times[k % MAX_SCANS] <= past.times[scan % MAX_SCANS] - STATIC_TIME:
             return k
@@ -168,7 +177,7 @@ def _changed(
 
     Static are points that the scan `still` shows as well. Both are 0 if the share is too small.
     """
-    if min(still, beside) < past.counts[3]:
+    if min(still, beside) < past.first[0]:
         return 0.0, 0.0
     still, scan, beside = still % MAX_SCANS, scan % MAX_SCANS, beside % MAX_SCANS
     if abs(past.times[scan] - past.times[beside]) > MAX_INTERVAL:

@@ -83,7 +83,7 @@ class State(NamedTuple):
 
 
 class BeamColumns(NamedTuple):
-    """The columns of `Scans` that matching uses, and the directions of the beams."""
+    """The columns of `Scans` that matching uses, with ranges of 0 where invalid, and beam directions."""
 
     points: Array
     valid: Mask

@@ -202,8 +202,7 @@ def _add_to_submaps(
     """Store the ranges of sweep k, and add it to the submaps unless it is near the one added last."""
     lidar = state.lidar
     lidar.pose[:] = state.pose
-    for i in range(len(lidar.ranges)):
-        lidar.ranges[i] = beams.ranges[k, i] if beams.valid[k, i] else 0.0
+    lidar.ranges[:] = beams.ranges[k]
     new, pose = lidar.added, state.pose
     far = math.hypot(pose[0] - new[0], pose[1] - new[1]) >= settings.spacing
     if np.isnan(new[0]) or far or abs(wrap_in_kernel(pose[2] - new[2])) >= settings.turn:

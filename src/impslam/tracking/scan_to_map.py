@@ -135,7 +135,7 @@ def _beams(scans: Scans | None, m: int) -> BeamColumns:
     return BeamColumns(
         plain(scans.points),
         np.ascontiguousarray(scans.valid),
-        plain(scans.ranges),
+        plain(np.where(scans.valid, scans.ranges, 0.0)),
         plain(scans.origins),
         geometry_of(scans),
     )

@@ -309,12 +309,13 @@ class Scan:
     """A sweep ready for extraction: validated, mounted, and de-skewed to its middle.
 
     n beams in beam order, every array of length n. `points`, `directions` and `origins` are in
-    base_link at that time; `angles` and `ranges` are still in the laser frame. Only beams with `valid`
-    true have a meaningful range and point.
+    base_link at that time. Only beams with `valid` true have a meaningful range and point.
 
     Attributes
     ----------
-    angles, ranges : (n,) rad and m, laser frame
+    angles : (n,) rad, about the z axis of base_link, 0 ahead of the laser; of a laser that is upside down,
+        those in its own frame with the opposite sign
+    ranges : (n,) m
     valid : (n,) bool
     points : (n, 2) m, end point of the beam
     directions : (n,) rad, direction of the beam

@@ -1,7 +1,7 @@
 """The lidar: mounts, validity, and de-skewing that is exact for constant twists."""
 
 import math
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ from impslam.simulation import robot as simulated
 from impslam.simulation.lidar import LidarSimulator
 from impslam.simulation.scene import Scene, distance_to_segments
 from impslam.simulation.world import load_world
-from impslam.types import LaserScan, Observation
+from impslam.types import LaserScan, Observation, Scan
 
 STILL = np.zeros(3)
 
@@ -41,6 +41,19 @@ def test_mount_carries_points_into_base_link(upside_down):
     in_laser = np.array([1.0, 2.0, 3.0])[:, None] * np.stack([np.cos(angles), np.sin(angles)], 1)
     np.testing.assert_allclose(scan.points, transform(np.array(mount), in_laser), atol=1e-12)
     np.testing.assert_allclose(scan.origins, np.tile(mount[:2], (3, 1)))
+
+
+def test_a_laser_upside_down_is_one_that_scans_the_other_way():
+    angles, rng = np.linspace(-1.0, 2.0, 40), np.random.default_rng(5)
+    ranges, mount = rng.uniform(0.5, 4.0, 40), (0.2, -0.1, 0.7)
+    twist = np.array([0.4, 0.0, 1.0])
+    turned = Lidar2D(mount=mount, upside_down=True, angle_min=-0.5)
+    upright = Lidar2D(mount=mount, angle_max=0.5)
+    one = observe(turned, sweep(ranges, angles, rate=1e-3), twist)
+    other = observe(upright, sweep(ranges, -angles, rate=1e-3), twist)
+    for field in fields(Scan):
+        if field.init and (value := getattr(one, field.name)) is not None:
+            np.testing.assert_array_equal(value, getattr(other, field.name), err_msg=field.name)
 
 
 @pytest.mark.parametrize("last_beam_first", [False, True])

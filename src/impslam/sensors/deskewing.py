@@ -33,10 +33,11 @@ def deskew_sweeps(
     Parameters
     ----------
     ranges : (m, n) m, as received
-    beams : (n, 2) rad and s; angle in the laser frame, time after the middle of the sweep
+    beams : (n, 2) rad and s; angle about the z axis of base_link, 0 ahead of the laser, and time after the
+        middle of the sweep
     in_field : (n,) which beams are within the field of view
     twists : (m, 3) m/s, m/s, rad/s, of the body over each sweep
-    mount : (4,) `T_base_laser`, and -1 if the laser is upside down, else 1
+    mount : (3,) `T_base_laser`
     calibration : (4,) scale and offset (m) of the ranges; limits (m) of the received ranges
     noise : (2,) standard deviation of a range at 0 (m), and its increase per metre of range
 
@@ -47,7 +48,7 @@ def deskew_sweeps(
     m, n = ranges.shape
     calibrated, valid, sigmas = np.empty((m, n)), np.empty((m, n), np.bool_), np.empty((m, n))
     points, directions, origins = np.empty((m, n, 2)), np.empty((m, n)), np.empty((m, n, 2))
-    heading = mount[2] + mount[3] * beams[:, 0]
+    heading = mount[2] + beams[:, 0]
     cosines, sines = np.cos(heading), np.sin(heading)
     for k in range(m):
         vx, vy, omega = twists[k]

@@ -122,14 +122,15 @@ class Lidar2D(Sensor):
 
     def sweeps(self, columns: Columns, twists: Array) -> Scans:
         """Return the scans: validated, calibrated, mounted, de-skewed."""
-        angles, after = plain(columns["angles"]), self._after_middle(plain(columns["time_offsets"]))
+        sent, after = plain(columns["angles"]), self._after_middle(plain(columns["time_offsets"]))
+        angles = -sent if self.upside_down else sent
         low, high = self._limits(columns)
         parts = deskew_sweeps(
             plain(columns["ranges"]),
             np.column_stack((angles, after)),
-            self.in_field(angles),
+            self.in_field(sent),
             twists if self.deskew else np.zeros_like(twists),
-            np.array([*self.mount, -1.0 if self.upside_down else 1.0]),
+            np.array(self.mount),
             np.array([self.range_scale, self.range_offset, low, high]),
             np.array([self.sigma, self.sigma_per_m]),
         )

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 
 class GrowingArray:
-    """An array that grows by rows; views returned earlier do not change."""
+    """An array that grows by rows; views returned earlier, and copies, do not change."""
 
     def __init__(self, *shape: int, dtype: npt.DTypeLike = np.float64) -> None:
         self._rows: npt.NDArray[Any] = np.empty((64, *shape), dtype)
@@ -17,6 +17,12 @@ class GrowingArray:
 
     def __len__(self) -> int:
         return self._count
+
+    def __copy__(self) -> GrowingArray:
+        """Return an independent array; no rows are copied until it grows."""
+        other = object.__new__(GrowingArray)
+        other._rows, other._count = self._rows[: self._count], self._count
+        return other
 
     def append(self, rows: npt.ArrayLike, m: int = 1) -> None:
         """Append m rows (m, ...), or one value to each of m rows."""

@@ -268,7 +268,7 @@ class Run:
         thread while the run continues. The run itself does not change.
         """
         estimate, outcome = self.estimator.draft(), self.outcome(log, "", 0)
-        known = self._builder.map((), None, self.estimator.edges())
+        known = self._builder.map(())
         known = replace(known, observations=self.estimator.observations())
         return functools.partial(_finished, known, estimate, outcome, self._logs(outcome))
 
@@ -422,7 +422,7 @@ def _finished(
         known = blended(known.revised(revision))
         if revision.refused:
             unused["settled map"] = Dropped(1, revision.refused)
-    known = replace(known, landmarks=estimate.landmarks())
+    known = replace(known, landmarks=estimate.landmarks(), edges=estimate.edges())
     counts = {**outcome.counts, "landmarks": len(known.landmarks)}
     outcome = replace(outcome, counts=counts, stages=stages, dropped=unused)
     return replace(known, about=about(outcome, logs)), outcome

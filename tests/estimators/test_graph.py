@@ -23,6 +23,8 @@ from tests.numeric import wrapped
 from tests.recognition.plans import walls
 
 from impslam.errors import NumericalError
+from impslam.estimators.graph import _refinable
+from impslam.estimators.keyframe_log import KeyframeLog
 from impslam.estimators.loop_closing import LoopCloser
 from impslam.estimators.pose_graph import PoseGraph
 from impslam.geometry.se2 import between, compose
@@ -147,6 +149,47 @@ def test_settling_does_not_affect_later_keyframes(frames, closed):
             made.landmarks()
     assert [told(r) for r in revisions] == [told(r) for r in closed[1]]
     assert told(made.settle()) == told(closed[0].settle())
+
+
+def test_settling_a_draft_changes_nothing_in_the_graph_that_has_gone_on(frames):
+    made = begun(TRUTH[0])
+    driven(made, frames[:150])
+    draft = made.draft()
+    driven(made, frames[150:])
+    edges, settled = made.edges(), made.settle().poses
+    draft.settle()
+    assert draft.edges().i.max() < 150
+    for now, before in zip(made.edges(), edges, strict=True):
+        assert now.tobytes() == before.tobytes()
+    assert made.settle().poses.tobytes() == settled.tobytes()
+
+
+def test_the_edges_of_a_settled_draft_contain_its_last_closures(frames):
+    made = begun(TRUTH[0])
+    revisions = driven(made, frames)
+    first = many(revisions)[0]
+    made = begun(TRUTH[0])
+    driven(made, frames[:first])  # the closure waits for the next node
+    draft = made.draft()
+    assert draft.settle() is not None
+    assert len(draft.edges().i) > len(made.edges().i)
+
+
+def test_a_closure_with_a_dropped_keyframe_is_not_one_with_its_neighbour():
+    keys, graph, still = KeyframeLog(), PoseGraph(), np.zeros(3)
+    for k in range(4):  # two sessions of two nodes
+        keys.add(keyframe(k, still), still if k % 2 == 0 else None)
+        if k % 2:
+            keys.mark_node()
+            graph.extend(still, np.eye(3), 1.0)
+        else:
+            graph.add_root(still, np.eye(3))
+    graph.close(0, 2, np.array([1.0, 0.0, 0.0]), np.eye(3))
+    assert _refinable(keys, graph).links.j.tolist() == [2]
+    keys.drop(np.array([2]), np.array([0]), np.zeros((1, 3)))
+    part = _refinable(keys, graph)
+    assert part.rows.tolist() == [0, 1, 3]
+    assert part.links.j.tolist() == []
 
 
 def test_an_exact_drive_stays_exact():

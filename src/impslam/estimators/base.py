@@ -26,10 +26,12 @@ class Draft(NamedTuple):
     ----------
     settle : returns the refined poses of all keyframes, or None; see `Estimator.settle`
     landmarks : returns the landmarks; after `settle`, those at the refined poses
+    edges : returns the edges of the pose graph; after `settle`, those of the refined poses
     """
 
     settle: Callable[[], Revision | None]
     landmarks: Callable[[], tuple[Landmark, ...]]
+    edges: Callable[[], Edges] = lambda: NO_EDGES
 
 
 class Estimator(Component):

@@ -234,7 +234,8 @@ class Graph(Estimator):
         """Return a snapshot of the estimate; see `Estimator.draft`."""
         snapshot = self.model_copy()
         snapshot._graph, snapshot._keys = copy(self._graph), self._keys.copy()
-        return Draft(snapshot.settle, snapshot.landmarks)
+        snapshot._closer = self._closer.copy()
+        return Draft(snapshot.settle, snapshot.landmarks, snapshot.edges)
 
     def edges(self) -> Edges:
         """Return motions and closures between keyframes; see `Estimator.edges`."""
@@ -272,7 +273,7 @@ def _refinable(keys: KeyframeLog, graph: PoseGraph) -> Part:
     edges, nodes = graph.edges, keys.nodes
     rows = np.flatnonzero((graph.roots[keys.node_before] == 0) & keys.is_kept)
     i, j = nodes[edges.i], nodes[edges.j]
-    links = (keys.sessions[i] != keys.sessions[j]) & np.isin(i, rows)
+    links = (keys.sessions[i] != keys.sessions[j]) & np.isin(i, rows) & np.isin(j, rows)
     ends = np.searchsorted(rows, i[links]), np.searchsorted(rows, j[links])
     rest = (column[links] for column in edges[2:])
     frozen = int(nodes[graph.frozen]) if 0 < graph.frozen < len(nodes) else 0

@@ -5,7 +5,9 @@ from tests.filters.worlds import MODELS, drive, observe, step
 from tests.numeric import wrapped
 
 from impslam.filters.ekf import Ekf
-from impslam.types import Increment
+from impslam.landmarks.gps import GpsFrame
+from impslam.landmarks.point import Cylinder
+from impslam.types import Increment, Observation
 
 
 def test_a_large_slip_vanishes_in_one_iterated_scan():
@@ -18,3 +20,11 @@ def test_a_large_slip_vanishes_in_one_iterated_scan():
     slip = Increment(31.0, np.array([0.2, -0.1, 0.09]), np.diag([0.3, 0.3, 0.2]) ** 2, 1.0)
     step(belief, slip, observe(pose))
     assert np.abs(wrapped(belief.pose - pose, 2)).max() < 0.001
+
+
+def test_the_frame_of_a_gps_is_no_object_that_beams_could_hit():
+    belief = Ekf()
+    belief.start(np.zeros(3), 1e-8 * np.eye(3), {"gps": GpsFrame(), "cylinder": Cylinder()})
+    seen = [Observation(kind, np.array([2.0, 1.0]), np.eye(2)) for kind in ("gps", "cylinder")]
+    _, pillar = belief.extend(seen, 0.0)
+    assert belief.outlines()[0].tolist() == [pillar]

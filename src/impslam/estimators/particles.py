@@ -241,7 +241,7 @@ class Particles(Estimator):
         """Return the landmarks to remove because the likeliest particle should see them but does not."""
         best = int(np.argmax(weights))
         ids, outlines = [], []
-        for book in self._books.values():
+        for book in (b for b in self._books.values() if not b.model.unique):
             (slots,) = np.nonzero((book.rows[best] >= 0) & np.isin(book.ids, list(self._mapped)))
             ids.append(book.ids[slots])
             outlines.append(book.model.outline(book.m[book.rows[best, slots]], book.extents[slots]))

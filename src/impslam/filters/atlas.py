@@ -243,8 +243,11 @@ class Atlas:
             average[name] = old + share * (value - old)
 
     def outlines(self, mean: Array) -> tuple[Ints, Array]:
-        """Return the ids (k,) of all landmarks and their visible ends (k, 2, 2) in map."""
-        tables = self.tables()
+        """Return the ids (k,) of visible landmarks and their ends (k, 2, 2) in map.
+
+        A unique landmark, such as the frame of a GPS, is no object that a beam could hit.
+        """
+        tables = [table for table in self.tables() if not table.model.unique]
         if not tables:
             return np.empty(0, np.int64), np.empty((0, 2, 2))
         ends = [table.model.outline(table.states(mean), table.extents) for table in tables]

@@ -171,9 +171,9 @@ class Filter(Component):
 
     @abstractmethod
     def outlines(self) -> tuple[Ints, Array]:
-        """Return the ids (k,) of landmarks and their visible ends (k, 2, 2) in map.
+        """Return the ids (k,) of visible landmarks and their ends (k, 2, 2) in map.
 
-        All landmarks, or at least those that may be in view.
+        All of them, or at least those that may be in view; unique ones, as a GPS frame, are not visible.
         """
 
     @abstractmethod

@@ -1,6 +1,7 @@
 """The search of a whole map finds what trying every place finds, and tells of beams what they show."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from tests.recognition.plans import walls, way
 from impslam.geometry.se2 import transform
 from impslam.recognition.beams import Beams, explain
 from impslam.recognition.everywhere import COARSE_POINTS, HEADINGS, search_everywhere
-from impslam.recognition.ground import CHANCE, DIRECTIONS, SECTOR, make_ground
+from impslam.recognition.ground import CHANCE, DIRECTIONS, SECTOR, UNKNOWN, make_ground
 from impslam.recognition.pyramid import CELL, FULL
 from impslam.recognition.stored import stored_views
 from impslam.recognition.submap import view
@@ -43,6 +44,20 @@ def every_sum(ground, points):
             found = level[k, np.clip(v, 0, height - 1), np.clip(u, 0, width - 1)]
             sums[a] += np.where(inside, found, int(FULL * CHANCE))
     return np.where(free, sums, 0)
+
+
+def test_a_robot_may_be_where_a_lidar_that_looks_ahead_has_not_seen_the_floor():
+    hall = room(-8.0, 8.0, -8.0, 8.0)
+    keyframes = mapped(hall, np.zeros((1, 3)))
+    ahead = keyframes.points[:, 0] > LASER[0]
+    keyframes = replace(
+        keyframes, points=keyframes.points[ahead], starts=np.array([0, ahead.sum()])
+    )
+    ground = make_ground(keyframes, stored_views(keyframes))
+    places = np.array([[-1.0, 0.0], [-4.0, 0.0], [4.0, 0.0], [7.95, 0.0]])
+    columns, rows = np.floor((places - ground.corner) / CELL).astype(int).T
+    assert (ground.state[2 * rows[:2], 2 * columns[:2]] == UNKNOWN).all()
+    assert ground.allowed[0, rows, columns].tolist() == [1, 0, 1, 0]
 
 
 def test_points_without_a_normal_count_for_every_direction_where_no_normal_is_known():

@@ -41,6 +41,12 @@ MAX_DISTANCE = 5.0  # m, at which distances are clipped
 KEYFRAME_RADIUS = (
     10.0  # m, maximum distance from a keyframe: farther away, views overlap too little
 )
+FREE_GAP = (
+    1.1 * CELL
+)  # m from free space to cells between beams that are a degree apart, up to 10 m away
+DRIVEN_RADIUS = 1.5
+"""m around a keyframe where the lidar may be in unknown space: one that looks ahead does not see the floor
+beside and behind it. In a hospital, mapped by such a lidar, a sixth of such places is unknown."""
 MARGIN = 2  # unknown cells around a grid
 MAX_POINTS = 20.0  # over which a surfel averages
 
@@ -88,8 +94,10 @@ def make_ground(keyframes: Keyframes, views: Sequence[View]) -> Ground:
     distance = _distance(occupied, SIDE)
     to_wall = distance[::2, ::2]
     surfaces = _surfaces(poses, views, corner, state.shape)
-    close = _distance(_cells(poses, corner, free.shape), CELL, KEYFRAME_RADIUS) < KEYFRAME_RADIUS
-    allowed = _pyramid((free & close & (to_wall > CLEARANCE)).astype(np.uint8))
+    to_keyframe = _distance(_cells(poses, corner, free.shape), CELL, KEYFRAME_RADIUS)
+    near_free = _distance(free, CELL) < FREE_GAP
+    inside = (near_free & (to_keyframe < KEYFRAME_RADIUS)) | (to_keyframe < DRIVEN_RADIUS)
+    allowed = _pyramid((inside & (to_wall > CLEARANCE)).astype(np.uint8))
     likelihood = _likelihood(poses, views, corner, distance, free)
     return Ground(state, distance, corner, likelihood, allowed, surfaces)
 
@@ -160,15 +168,13 @@ def _pyramid(cells: Bytes) -> Bytes:
     return levels
 
 
-def _distance(occupied: Mask, cell: float, limit: float = MAX_DISTANCE) -> Floats:
-    """Return the distance from each cell to the nearest occupied one, clipped at `limit`, m."""
+def _distance(marked: Mask, cell: float, limit: float = MAX_DISTANCE) -> Floats:
+    """Return the distance from each cell to the nearest one in a mask, clipped at `limit`, m."""
     from scipy.ndimage import distance_transform_edt  # noqa: PLC0415  slow to import
 
-    if not occupied.any():
-        return np.full(occupied.shape, limit, np.float32)
-    distance: Floats = np.minimum(distance_transform_edt(~occupied) * cell, limit).astype(
-        np.float32
-    )
+    if not marked.any():
+        return np.full(marked.shape, limit, np.float32)
+    distance: Floats = np.minimum(distance_transform_edt(~marked) * cell, limit).astype(np.float32)
     return distance
 
 

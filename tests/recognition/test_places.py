@@ -62,14 +62,19 @@ def test_frames_do_not_matter(rng):
         assert_at(Recogniser().close(reference, query, guess, Window(2.0, 2.0, 0.3)), truth)
 
 
-def test_a_corridor_is_ambiguous():
+def test_a_corridor_fixes_the_heading_and_the_position_across_it():
     there, back = way(-3.0, 0.0, 3.0, 0.0, 8), way(1.0, 0.1, -1.0, 0.1, 5)
     reference = place(CORRIDOR, there, there[4], REFERENCE_CELL)
     query = place(CORRIDOR, back, back[2], QUERY_CELL, seed=1)
     recogniser = Recogniser()
-    guess = between(there[4], back[2]) + np.array([1.0, 0.0, 0.0])
-    assert recogniser.close(reference, query, guess, Window(4.0, 4.0, 0.3)) is None
-    assert recogniser.counts["ambiguous"] == 1
+    truth = between(there[4], back[2])
+    guess = truth + np.array([1.0, 0.3, 0.05])
+    closure = recogniser.close(reference, query, guess, Window(4.0, 4.0, 0.3))
+    assert not closure.has_position
+    assert np.abs(closure.pose - truth)[1:].max() < 0.01
+    sigma = np.sqrt(np.diagonal(np.linalg.inv(closure.information)))
+    assert sigma[0] > 3.9
+    assert sigma[1:].max() < 0.03
 
 
 def test_a_corridor_leaves_open_where_along_it():

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from impslam.estimators.keyframe_log import KeyframeLog, revised
-from impslam.estimators.pose_graph import PoseGraph
+from impslam.estimators.pose_graph import CLOSURE_LENGTH, PoseGraph
 from impslam.geometry.se2 import between
 from impslam.parameters import Parameters, parameter
 from impslam.recognition.consistency import Relation, consistent
@@ -205,7 +205,11 @@ class LoopCloser:
         self._pending = [
             p for p in self._pending if new.distance - p.distance <= CONFIRMATION_DISTANCE
         ]
-        agreeing = [p for p in self._pending if agree(p, new, graph)]
+        agreeing = [
+            p
+            for p in self._pending
+            if p.closure.has_position == new.closure.has_position and agree(p, new, graph)
+        ]
         evidence = sum(p.evidence for p in (*agreeing, new))
         if not agreeing or evidence < MIN_EVIDENCE:
             self._pending.append(new)
@@ -239,5 +243,10 @@ def _relation(pending: PendingClosure) -> Relation:
 
 
 def add(pending: PendingClosure, graph: PoseGraph) -> bool:
-    """Add a closure to the graph; return whether it must be solved."""
-    return graph.close(pending.i, pending.j, pending.closure.pose, pending.closure.information)
+    """Add a closure to the graph; return whether it must be solved.
+
+    One without a position does not limit the drift along the corridor, so it shortens no path.
+    """
+    i, j, found = pending.i, pending.j, pending.closure
+    length = CLOSURE_LENGTH if found.has_position else math.inf
+    return graph.close(i, j, found.pose, found.information, length)

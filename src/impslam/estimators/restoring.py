@@ -18,6 +18,7 @@ from impslam.graph.pose_graph import roots
 from impslam.map import Keyframes, Map
 from impslam.maps.layout import undriven
 from impslam.noise import UNKNOWN
+from impslam.recognition.places import ALIGN_WINDOW
 from impslam.recognition.stored import points_view
 from impslam.types import Array, Edges, Ints, Mask
 
@@ -167,7 +168,8 @@ def _connected(rows: Keyframes, nodes: Ints, hosts: Ints, edges: Edges) -> Edges
 def _lengths(edges: Edges, distance: Array) -> Array:
     """Return the path length (e,) m of each edge, given the distance driven up to each node.
 
-    Motions of folded nodes connect their hosts, which are not consecutive.
+    Motions of folded nodes connect their hosts, which are not consecutive. A closure without a position, as
+    in a corridor, is at least as uncertain as the smallest window that is searched; see `places`.
     """
     folded = np.hypot(edges.T_i_j[:, 0], edges.T_i_j[:, 1]) + METRES_PER_RADIAN * np.abs(
         edges.T_i_j[:, 2]
@@ -175,7 +177,9 @@ def _lengths(edges: Edges, distance: Array) -> Array:
     driven = np.where(
         edges.j == edges.i + 1, distance[edges.j] - distance[edges.i], folded + CLOSURE_LENGTH
     )
-    return np.where(np.isinf(edges.kernel), driven, CLOSURE_LENGTH)
+    weakest = np.linalg.eigvalsh(edges.information[:, :2, :2])[:, 0]
+    closures = np.where(weakest < ALIGN_WINDOW**-2, np.inf, CLOSURE_LENGTH)
+    return np.where(np.isinf(edges.kernel), driven, closures)
 
 
 def _motion(rows: Keyframes, begin: int, end: int) -> tuple[Array, Array]:

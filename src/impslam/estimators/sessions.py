@@ -129,7 +129,9 @@ class SessionPlacer:
             return expected if _is_same(_placed(expected, graph), pose) else None
         window = self._closer.window(0.0)
         closure = self._closer.compare(node, pose, window, keys, graph).closure
-        return closure if closure is not None and closure.is_strong else None
+        if closure is None or not (closure.is_strong and closure.closure.has_position):
+            return None
+        return closure
 
     def _is_at(self, pose: Array, node: int, graph: PoseGraph) -> bool:
         """Return whether a pose (3,) of a node is where the closures so far place it."""

@@ -2,9 +2,10 @@
 
 In a small window alignment is enough, since it seldom fails there. A wide one is searched (see
 `correlative`), and the peak aligned. A pose is rejected if free space contradicts it (see `verify`), or if
-another pose in the window fits nearly as well and agrees nearly as much with free space. A pose near the
-edge of a wide window is also rejected if free space agrees nearly as much with the guess: the robot is
-more likely in another place that looks like the reference than so far off.
+another pose in the window fits nearly as well and agrees nearly as much with free space. If the two differ
+only along a corridor, the pose is kept, with an uncertainty along it as wide as the window. A pose near the
+edge of a wide window is also rejected if free space agrees nearly as much with the guess: the robot is more
+likely in another place that looks like the reference than so far off.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from impslam.geometry.angles import wrap
 from impslam.geometry.kernels import plain
 from impslam.recognition.correlative import HEADING_STEP, Window, search, start_level
 from impslam.recognition.pyramid import Memory, Pyramid, build
@@ -48,6 +50,9 @@ NARROW = 1.2  # m: a wider window contains more poses that fit by chance,
 NARROW_SCORE, WIDE_SCORE = 0.4, 0.5  # so the minimum score is higher
 RIVAL_SHARE = 0.9  # of the best score: a second peak so high may be the true one,
 RIVAL_MARGIN = 0.1  # unless free space agrees so much less: three sigma of a share of 250 points
+SAME_SIDEWAYS, SAME_HEADING = 0.1, math.radians(1.0)
+"""m, rad: poses along one corridor differ less across it and in heading. So may twin rooms; then it remains
+open which of them it is."""
 LIKELY_SHARE = 0.75  # of a window of four sigma: a pose farther off is beyond three of them
 MAX_POINTS = 20.0  # over which a surfel averages
 SLACK = 0.4  # m that an alignment may leave its window: its pairing distance
@@ -79,6 +84,7 @@ class Closure(NamedTuple):
     score : of the search; NaN if alignment alone found the pose
     rival : agreement of the best other pose; -inf if there is none with `RIVAL_SHARE` of the score, or
         none was searched
+    has_position : False if the query fits elsewhere along a corridor, too
     """
 
     pose: Array
@@ -87,6 +93,7 @@ class Closure(NamedTuple):
     verdict: ClosureStrength
     score: float
     rival: float
+    has_position: bool = True
 
 
 class Search(NamedTuple):
@@ -175,21 +182,23 @@ class Recogniser:
         closure = self._settle(query, peak.pose, FINE, FINE_PRIOR)._replace(score=peak.score)
         if closure.verdict == ClosureStrength.REFUSED:
             return self._reject("contradicted")
-        closure = self._with_rival(query, guess, task, closure)
-        if closure.rival >= closure.support.agreement - RIVAL_MARGIN:
+        rival = self._rival(query, guess, task, closure)
+        if rival is None:
+            return closure
+        agreement = 0.0 if rival.verdict == ClosureStrength.REFUSED else rival.support.agreement
+        closure = closure._replace(rival=agreement)
+        if agreement < closure.support.agreement - RIVAL_MARGIN:
+            return closure
+        if not _differ_along_weakest_axis(closure, rival.pose):
             return self._reject("ambiguous")
-        return closure
+        return _widened_along_weakest_axis(closure, max(task.window.x, task.window.y))
 
-    def _with_rival(self, query: Submap, guess: Array, task: Search, closure: Closure) -> Closure:
-        """Return the closure with the agreement of the best other pose."""
+    def _rival(self, query: Submap, guess: Array, task: Search, closure: Closure) -> Closure | None:
+        """Return the best other pose, if its score is nearly as high."""
         min_score = RIVAL_SHARE * closure.score
         pyramid = self._grid(task.window)
         peak = search(pyramid, task.points, guess, task.window, min_score, closure.pose, task.turn)
-        if peak.score == 0.0:
-            return closure
-        rival = self._settle(query, peak.pose, FINE, FINE_PRIOR)
-        agreement = 0.0 if rival.verdict == ClosureStrength.REFUSED else rival.support.agreement
-        return closure._replace(rival=agreement)
+        return None if peak.score == 0.0 else self._settle(query, peak.pose, FINE, FINE_PRIOR)
 
     def _settle(self, query: Submap, start: Array, how: Alignment, prior: Array) -> Closure:
         """Align the query from a start pose, and judge the result."""
@@ -229,6 +238,29 @@ class Recogniser:
     def _count(self, outcome: str) -> None:
         self.counts[outcome] += 1
         self.outcome = outcome
+
+
+def _weakest_axis(closure: Closure) -> Array:
+    """Return the direction (2,) along which the points determine the position least."""
+    return np.asarray(np.linalg.eigh(closure.information[:2, :2])[1][:, 0])
+
+
+def _differ_along_weakest_axis(closure: Closure, rival: Array) -> bool:
+    """Return whether a rival pose (3,) differs only along the weakest axis, as in a corridor."""
+    d, (ux, uy) = rival - closure.pose, _weakest_axis(closure)
+    sideways = abs(d[0] * uy - d[1] * ux)
+    return bool(sideways < SAME_SIDEWAYS and abs(wrap(float(d[2]))) < SAME_HEADING)
+
+
+def _widened_along_weakest_axis(closure: Closure, sigma: float) -> Closure:
+    """Return the closure with sigma^2 u u^T, m^2, added to its covariance, u being its weakest axis.
+
+    The information follows from the formula of Sherman and Morrison (1950).
+    """
+    u = np.append(_weakest_axis(closure), 0.0)
+    Iu = closure.information @ u
+    wider = closure.information - np.outer(Iu, Iu) / (u @ Iu + sigma**-2)
+    return closure._replace(information=0.5 * (wider + wider.T), has_position=False)
 
 
 def _cleared(known: SurfaceMap, low: Array, high: Array, surfels: int) -> SurfaceMap:

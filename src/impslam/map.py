@@ -135,7 +135,8 @@ class Revision:
 
     Attributes
     ----------
-    ids : (r,) keyframes whose pose is new: the keyframe itself, and earlier ones that were moved
+    ids : (r,) keyframes whose pose is new, ascending: earlier ones that were moved; the last one is
+        the keyframe itself
     poses : (r, 3) `T_map_base` at the middle of their sweeps
     covariances : (r, 3, 3)
     matches : observations that were matched to known landmarks

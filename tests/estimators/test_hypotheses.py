@@ -58,7 +58,7 @@ def test_an_ambiguous_match_is_not_reported_and_the_pose_is_uncertain():
 def test_a_later_scan_resolves_the_ambiguity_and_revises_the_path():
     made, _ = ambiguous()
     told = made.add(keyframe(3, [point(ASTRAY, FAR), point(ASTRAY, TWINS[1])]))
-    assert told.ids.tolist() == [3, 2]
+    assert told.ids.tolist() == [2, 3]  # the newest one is the last, as observers expect
     np.testing.assert_allclose(told.poses[:, :2], [ASTRAY[:2]] * 2, atol=0.03)
     assert {m.observation: m.landmark for m in told.matches} == {0: 2, 1: 1}
     assert len(made.landmarks()) == 3

@@ -243,8 +243,9 @@ class MultipleHypotheses(Estimator):
             self._reported[past.keyframe] = past
             changed.append(past)
             past = past.before
+        changed.reverse()
         covariances = np.array([p.covariance for p in changed])
-        covariances[0] = self._mixture_covariance()
+        covariances[-1] = self._mixture_covariance()
         return Revision(
             np.array([p.keyframe for p in changed]),
             np.array([p.pose for p in changed]),

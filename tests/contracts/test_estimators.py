@@ -131,6 +131,8 @@ BAD = {
     "R is not a number": lambda o: replace(o, R=np.full_like(o.R, np.nan)),
     "R is infinite": lambda o: replace(o, R=np.full_like(o.R, np.inf)),
     "R is no covariance": lambda o: replace(o, R=-np.eye(len(o.z))),
+    "R is singular": lambda o: replace(o, R=np.zeros_like(o.R)),
+    "R is indefinite": lambda o: replace(o, R=np.ones_like(o.R) - 0.5 * np.eye(len(o.z))),
 }
 
 

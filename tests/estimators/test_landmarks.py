@@ -127,6 +127,14 @@ def test_a_keyframe_without_a_solution_moves_the_robot_and_nothing_else(belief, 
     assert np.array_equal(slam._filter.belief.mean, twin._filter.belief.mean)
 
 
+@pytest.mark.parametrize("R", [np.zeros((2, 2)), np.array([[1.0, 2.0], [2.0, 1.0]])])
+def test_a_new_landmark_whose_R_is_not_definite_is_refused(belief, R):
+    slam = estimator(belief)
+    told = slam.add(keyframe(still(0), (Observation("corner", np.array([2.0, 0.3]), R, label=1),)))
+    assert "the R of a corner is not positive definite" in told.refused
+    assert slam.landmarks() == ()
+
+
 @pytest.mark.parametrize("kind", FAMILY)
 @pytest.mark.parametrize("iterations", [2, 4])
 def test_a_failure_after_the_first_linearisation_changes_nothing(kind, iterations, monkeypatch):

@@ -137,9 +137,26 @@ def is_finite(motion: Increment) -> bool:
 
 
 def check_keyframe(keyframe: Keyframe) -> None:
-    """Raise `NumericalError` if a motion or an observation is not finite."""
+    """Raise `NumericalError` if a motion or an observation is not finite, or an R is not a covariance."""
     numbers = [part.ravel() for o in keyframe.observations for part in (o.z, o.R)]
     if not is_finite(keyframe.motion):
         raise NumericalError("the motion or its covariance is not finite")
     if numbers and not np.isfinite(np.concatenate(numbers)).all():
         raise NumericalError("an extractor's observation is not finite")
+    for o in keyframe.observations:
+        if not is_definite(o.R):
+            raise NumericalError(
+                f"the R of a {o.kind} is not positive definite: check its sensor's noise"
+            )
+
+
+def is_definite(R: Array) -> bool:
+    """Return whether a finite, symmetric R (d, d) is positive definite."""
+    if len(R) == 2:  # nearly all observations; 20 times as fast as numpy's determinant
+        (a, b), (c, d) = R.tolist()
+        return bool(a > 0.0 and a * d > b * c)
+    try:
+        np.linalg.cholesky(R)
+    except np.linalg.LinAlgError:
+        return False
+    return True

@@ -289,8 +289,6 @@ def _usable(keyframe: Keyframe) -> tuple[Keyframe, str]:
         keyframe = replace(keyframe, motion=motion)
     try:
         check_keyframe(keyframe)
-        if not all(_is_definite(o.R) for o in keyframe.observations):
-            wrong = "an extractor's R is not a covariance"
     except NumericalError as error:
         wrong = str(error)
     if not is_finite(motion):
@@ -300,11 +298,3 @@ def _usable(keyframe: Keyframe) -> tuple[Keyframe, str]:
         return replace(keyframe, motion=motion), ""
     reason = f"the scan at {keyframe.stamp:.3f} s is not used for the map: {wrong}"
     return replace(keyframe, motion=motion, scan=None, observations=()), reason
-
-
-def _is_definite(R: Array) -> bool:
-    """Return whether R (d, d) may be a covariance, by its first pivot and its determinant."""
-    if len(R) == 2:  # nearly all observations; 20 times as fast as numpy's determinant
-        (a, b), (c, d) = R.tolist()
-        return bool(a > 0.0 and a * d > b * c)
-    return bool(R[0, 0] > 0.0 and np.linalg.det(R) > 0.0)

@@ -262,8 +262,6 @@ def _usable(keyframe: Keyframe) -> tuple[Keyframe, str]:
     motion, wrong = keyframe.motion, ""
     try:
         check_keyframe(keyframe)
-        if any(np.linalg.eigvalsh(o.R)[0] <= 0.0 for o in keyframe.observations):
-            wrong = "an extractor's R is not a covariance"
     except NumericalError as error:
         wrong = str(error)
     if keyframe.lost or not is_finite(motion):

@@ -153,7 +153,6 @@ class MultipleHypotheses(Estimator):
         observations, reason = tuple[Observation, ...](), ""
         try:
             check_keyframe(keyframe)
-            _check_noise(keyframe.observations)
             observations = blurred(keyframe.observations, keyframe.motion, self._models)
         except NumericalError as error:
             reason = f"the scan at {keyframe.stamp:.3f} s is not used for the map: {error}"
@@ -291,14 +290,3 @@ def _owned(branches: list[Branch]) -> list[Hypothesis]:
     last = {id(branch.hypothesis): i for i, branch in enumerate(branches)}
     parents = [branch.hypothesis for branch in branches]
     return [h if last[id(h)] == i else h.copy() for i, h in enumerate(parents)]
-
-
-def _check_noise(observations: tuple[Observation, ...]) -> None:
-    """Raise `NumericalError` for an R that is not a covariance, before any state changes."""
-    for observation in observations:
-        try:
-            np.linalg.cholesky(observation.R)
-        except np.linalg.LinAlgError:
-            raise NumericalError(
-                f"the noise of a {observation.kind} is not positive definite: check the sensor's sigma"
-            ) from None

@@ -9,7 +9,6 @@ from typing import NamedTuple
 import numpy as np
 
 from impslam.association.base import Association, Hypotheses
-from impslam.errors import NumericalError
 from impslam.estimators.particle_book import Book
 from impslam.estimators.particle_kernels import gated_pairs
 from impslam.landmarks.base import Prediction
@@ -52,21 +51,9 @@ class Sight(NamedTuple):
 
     @classmethod
     def of(cls, book: Book, observations: Sequence[Observation], indices: list[int]) -> Sight:
-        """Return the sight of some observations.
-
-        Raises
-        ------
-        NumericalError
-            If an R is not positive definite.
-        """
+        """Return the sight of some observations."""
         some = [observations[i] for i in indices]
         z, R = np.array([o.z for o in some], np.float64), np.array([o.R for o in some], np.float64)
-        try:
-            np.linalg.cholesky(R)
-        except np.linalg.LinAlgError:
-            raise NumericalError(
-                f"the covariance of a {book.kind} is not positive definite: check the sensor's noise"
-            ) from None
         model = book.model
         feet = model.outline(model.invert(_BASE, z), np.zeros((len(z), 2)))
         ends = [

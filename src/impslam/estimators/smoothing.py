@@ -18,7 +18,7 @@ from pydantic import PrivateAttr
 
 from impslam.component import parameter, register
 from impslam.errors import ConfigError, NumericalError
-from impslam.estimators.base import START_SIGMA, Draft, is_finite
+from impslam.estimators.base import START_SIGMA, Draft, is_definite, is_finite
 from impslam.estimators.blur import blurred
 from impslam.estimators.landmarks import Landmarks
 from impslam.estimators.smoother import Smoother, SmootherEstimate
@@ -81,9 +81,8 @@ class Smoothing(Landmarks):
 
     def _add(self, keyframe: Keyframe) -> Revision:
         for o in keyframe.observations:
-            shared = 0.0 if o.shared is None else np.outer(o.shared, o.shared)
-            if np.isfinite(o.R).all() and np.linalg.eigvalsh(o.R - shared)[0] <= 0.0:
-                raise NumericalError(f"the R of a {o.kind} is not a covariance")
+            if o.shared is not None and not is_definite(o.R - np.outer(o.shared, o.shared)):
+                raise NumericalError(f"the R of a {o.kind} does not include its shared error")
         return super()._add(keyframe)
 
     def _add_factors(self, observations: tuple[Observation, ...], revision: Revision) -> None:

@@ -147,6 +147,12 @@ def test_a_wall_is_known_along_itself_as_it_was_first_seen(gtsam):
     np.testing.assert_allclose(P, new.m_D_z @ R_WALL @ new.m_D_z.T + new.slack, atol=1e-9)
 
 
+def test_its_counts_include_those_of_landmarks(gtsam):
+    made = started()
+    made._counts["landmarks fused"] += 2
+    assert made.counts() == {"landmarks fused": 2, "poses in the graph": 0}
+
+
 def test_without_the_library_one_line_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "gtsam", None)
     with pytest.raises(ConfigError, match="needs the library gtsam; install it with `pip install"):

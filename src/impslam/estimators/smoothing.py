@@ -150,8 +150,8 @@ class Smoothing(Landmarks):
         return Draft(lambda: revision, lambda: landmarks)
 
     def counts(self) -> Mapping[str, int]:
-        """Return the size of the graph."""
-        return {"poses in the graph": self._smoother.poses - 1}
+        """Return the size of the graph, and the counts of `Landmarks`."""
+        return {**super().counts(), "poses in the graph": self._smoother.poses - 1}
 
     @property
     def state_size(self) -> int:

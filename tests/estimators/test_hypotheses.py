@@ -1,5 +1,6 @@
 """What one scan cannot tell is kept open, later ones settle it, and the path is revised."""
 
+import itertools
 import math
 
 import numpy as np
@@ -161,14 +162,40 @@ def test_a_copy_is_independent_and_distinguished_once_it_differs():
     assert not one.resembles(other, 10.0)
 
 
-def test_a_scan_that_fails_halfway_moves_the_robot_once(monkeypatch):
-    made = started()
-    made.add(keyframe(0, [point(ORIGIN, FAR)]))
+def failing(method, *calls):
+    """Return the method of a filter, which fails at some of its calls: 0, 1, ..."""
+    count = itertools.count()
 
-    def fail(*_):
-        raise NumericalError("an innovation is not positive definite")
+    def fail(*arguments):
+        if next(count) in calls:
+            raise NumericalError("an innovation is not positive definite")
+        return method(*arguments)
 
-    monkeypatch.setattr(Ekf, "hypothesise", fail)
-    told = made.add(keyframe(1, [point(ORIGIN, FAR)], moved=(0.5, 0.0, 0.1)))
+    return fail
+
+
+def test_a_scan_that_fails_halfway_moves_the_robot_once_and_changes_nothing_else(monkeypatch):
+    made, twin = started(), started()
+    for one in (made, twin):
+        one.add(keyframe(0, [point(ORIGIN, FAR), point(ORIGIN, TWINS[0])]))
+    moved = np.array([0.5, 0.0, 0.1])
+    with monkeypatch.context() as patch:
+        patch.setattr(Ekf, "hypothesise", failing(Ekf.hypothesise, 1))
+        seen = [point(moved, FAR), point(moved, TWINS[0])]
+        told = made.add(keyframe(1, seen, moved, (0.1, 0.1, 0.1)))
     assert "not positive definite" in told.refused
-    np.testing.assert_allclose(told.poses[0], [0.5, 0.0, 0.1], atol=1e-6)
+    by_motion = twin.add(keyframe(1, (), moved, (0.1, 0.1, 0.1)))
+    np.testing.assert_array_equal(told.poses, by_motion.poses)
+    np.testing.assert_array_equal(told.covariances, by_motion.covariances)
+    after, expected = (one.add(keyframe(2, seen)) for one in (made, twin))
+    np.testing.assert_array_equal(after.poses, expected.poses)
+    assert [m.id for m in made.landmarks()] == [m.id for m in twin.landmarks()]
+
+
+def test_a_branch_without_a_solution_is_dropped(monkeypatch):
+    """The likelier twin cannot be corrected, so that the other one is believed at once."""
+    monkeypatch.setattr(Ekf, "correct", failing(Ekf.correct, 6))
+    made, told = ambiguous()
+    assert told.refused == ""
+    assert told.poses[0][1] == pytest.approx(ASTRAY[1], abs=0.05)
+    assert len(made.landmarks()) == 3

@@ -161,7 +161,7 @@ class MultipleHypotheses(Estimator):
         try:
             self._branch(observations, keyframe.stamp)
         except NumericalError as error:
-            reason = f"the scan at {keyframe.stamp:.3f} s is only partly used for the map: {error}"
+            reason = f"the scan at {keyframe.stamp:.3f} s is not used for the map: {error}"
         return self._revision(keyframe, reason)
 
     def _move(self, motion: Increment) -> None:
@@ -170,18 +170,34 @@ class MultipleHypotheses(Estimator):
             hypothesis.observed, hypothesis.matches, hypothesis.scan_gain = [], {}, 0.0
 
     def _branch(self, observations: tuple[Observation, ...], stamp: float) -> None:
-        for observation in observations:
-            branches = [b for h in self._hypotheses for b in self._branches(h, observation)]
-            branches.sort(key=lambda branch: -branch.log_weight)
-            threshold = branches[0].log_weight + math.log(self.odds)
-            kept = [b for b in branches[: self.most] if b.log_weight >= threshold]
-            self._hypotheses = [
-                self._extended(branch, own, observation, stamp)
-                for branch, own in zip(kept, _owned(kept), strict=True)
-            ]
-            self._observation_count += 1
+        """Branch by all observations of a scan; after a `NumericalError` by none of them."""
+        before = self._hypotheses, self._observation_count
+        self._hypotheses = [h.copy() for h in self._hypotheses] if observations else before[0]
+        try:
+            for observation in observations:
+                self._branch_by(observation, stamp)
+        except NumericalError:
+            self._hypotheses, self._observation_count = before
+            raise
         self._agreed_matches = self._agreed()
         self._merge()
+
+    def _branch_by(self, observation: Observation, stamp: float) -> None:
+        """Branch by one observation; branches without a solution are dropped if others are left."""
+        branches = [b for h in self._hypotheses for b in self._branches(h, observation)]
+        branches.sort(key=lambda branch: -branch.log_weight)
+        threshold = branches[0].log_weight + math.log(self.odds)
+        kept = [b for b in branches[: self.most] if b.log_weight >= threshold]
+        extended, failed = list[Hypothesis](), NumericalError()
+        for branch, own in zip(kept, _owned(kept), strict=True):
+            try:
+                extended.append(self._extended(branch, own, observation, stamp))
+            except NumericalError as error:
+                failed = error
+        if not extended:
+            raise failed
+        self._hypotheses = extended
+        self._observation_count += 1
 
     def _branches(self, parent: Hypothesis, observation: Observation) -> Iterator[Branch]:
         """Yield the possible associations of an observation, with the noise used in corrections."""

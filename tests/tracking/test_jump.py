@@ -2,11 +2,15 @@
 
 import numpy as np
 import pytest
+from tests.extractors.scans import cast, room
+from tests.tracking.sweeps import steps
 from tests.tracking.test_contradictions import ANGLES, GEOMETRY, WORLD, scan_at
 
 from impslam.columns import Motions, Scans
 from impslam.geometry.se2 import between
 from impslam.tracking.jump import MAX_INTERVAL, JumpCheck
+from impslam.tracking.odometry import OdometryTracker
+from impslam.types import Increment
 
 STEP = 0.03
 RATE = 10.0
@@ -137,3 +141,15 @@ def test_scans_of_hardly_any_beam_show_nothing(beams):
     )  # fmt: skip
     motions = Motions(scans.stamps, np.zeros((5, 3)), np.zeros((5, 3, 3)), np.full(5, 0.1))
     assert not JumpCheck().find(motions, scans, "a")[0].any()
+
+
+def test_the_keyframe_of_a_carried_robot_restarts_the_gate(monkeypatch):
+    """The next one is due 11 cm later, not 11 cm after the one before."""
+    poses, m = drive(16), 16
+    walls, angles = room(-2.0, 3.5, -1.5, 2.2), np.linspace(-2.0, 2.0, 180)
+    scans = [cast(walls, pose=pose, angles=angles).scan for pose in poses]
+    d_pose = np.vstack((np.zeros(3), between(poses[:-1], poses[1:])))
+    increments = [Increment(0.1 * k, d_pose[k], 1e-6 * np.eye(3), 0.1) for k in range(m)]
+    monkeypatch.setattr(JumpCheck, "find", lambda *_: (np.zeros(m), np.arange(m) == 6))
+    out = steps(OdometryTracker(), increments, scans, limits=(0.11, np.inf, np.inf))
+    assert np.flatnonzero(out.is_keyframe).tolist() == [4, 6, 10, 14]

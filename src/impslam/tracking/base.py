@@ -173,9 +173,11 @@ class Tracker(Component):
         contradicted = (steps.reasons >= SLIPPED) & (steps.reasons <= STALLED)
         self._note("odometry against scans", _CONTRADICTED, sweeps, contradicted)
         self._note("robot carried", _CARRIED, sweeps, steps.reasons == CARRIED)
+        none_due = np.zeros(len(sweeps), np.bool_)
         for name, others in self._travelled.items():  # sensors see different things
             if name != sweeps.sensor:
-                mark_keyframes(steps.moved, motions.duration, Gate(np.full(3, math.inf), others))
+                gate = Gate(np.full(3, math.inf), others)
+                mark_keyframes(steps.moved, motions.duration, none_due, gate)
         odometry, at_stamp = _dead_reckon(self._odometry, motions.d_pose, sweeps.T_middle_stamp)
         self._odometry = odometry[-1] if len(odometry) else self._odometry
         tracked = _Tracked(motions, steps, sweeps, at_stamp)
@@ -265,11 +267,14 @@ def add_travel(gate: Gate, d_pose: Array, duration: float) -> None:
 
 
 @kernel
-def mark_keyframes(moved: Array, duration: Array, gate: Gate) -> Mask:
-    """Add motions (m, 3) to the gate; return which of them end in a keyframe, (m,)."""
+def mark_keyframes(moved: Array, duration: Array, due: Mask, gate: Gate) -> Mask:
+    """Add motions (m, 3) to the gate; return which of them end in a keyframe, (m,).
+
+    These are the ones that reach a limit, and those that are `due` (m,) anyway.
+    """
     out = np.zeros(len(moved), np.bool_)
     for k in range(len(moved)):
-        out[k] = reaches_limit(gate, moved[k], duration[k])
+        out[k] = due[k] or reaches_limit(gate, moved[k], duration[k])
         add_travel(gate, moved[k], duration[k])
         if out[k]:
             gate.travelled[:] = 0.0

@@ -43,7 +43,7 @@ class OdometryTracker(Tracker):
             changed = shares > 0.0
             reasons[changed], amounts[changed] = CHANGED, shares[changed]
             reasons[confirmed] = CARRIED
-        keyframes = (reasons == CARRIED) | mark_keyframes(checked.d_pose, motions.duration, gate)
+        keyframes = mark_keyframes(checked.d_pose, motions.duration, reasons == CARRIED, gate)
         return Steps(
             checked.d_pose, checked.covariance, checked.d_pose, np.ones(m, np.bool_), keyframes,
             np.zeros(m, np.bool_), reasons, amounts,

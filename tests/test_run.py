@@ -8,12 +8,14 @@ from tests.numeric import wrapped
 from tests.recorded import Played, perfect
 from tests.steps import Steps, feed
 
+from impslam.bookkeeping import dropped
 from impslam.config import load
 from impslam.errors import SourceError
 from impslam.geometry.se2 import compose, exp
 from impslam.odometry.synchroniser import MAX_WAIT
 from impslam.run import Run, map_log
 from impslam.simulation.world import load_world
+from impslam.sources.base import Problems
 from impslam.types import (
     Image,
     LaserScan,
@@ -435,3 +437,11 @@ def test_any_cutting_of_a_log_gives_the_same_bytes(room, tmp_path, rows):
         course.flush()
         maps.append(course.map().save(tmp_path / f"{size}.imp").read_bytes())
     assert maps[0] == maps[1]
+
+
+def test_problems_of_one_kind_in_several_parts_are_added():
+    reading, tracking = Problems(), Problems()
+    reading.add("scan", "first", 3)
+    tracking.add("scan", "second", 4)
+    assert dropped([reading, tracking])["scan"].count == 7
+    assert dropped([reading, tracking])["scan"].example == "first"

@@ -55,12 +55,12 @@ class Stopwatch:
 
 
 def dropped(parts: Iterable[Problems]) -> dict[str, Dropped]:
-    """Merge the problems of several parts."""
-    return {
-        kind: Dropped(count, problems.examples[kind])
-        for problems in parts
-        for kind, count in problems.counts.items()
-    }
+    """Merge the problems of several parts: the counts are added, and the first example is kept."""
+    merged = Problems()
+    for problems in parts:
+        for kind, count in problems.counts.items():
+            merged.add(kind, problems.examples[kind], count)
+    return {kind: Dropped(count, merged.examples[kind]) for kind, count in merged.counts.items()}
 
 
 def about(outcome: Outcome, logs: Sequence[Mapping[str, Any]] = ()) -> dict[str, Any]:

@@ -307,6 +307,7 @@ def test_it_forgets_its_submaps():
     tracker.forget()
     assert filled > 0
     assert tracker._state.submaps.first.size[0] == 0
+    assert tracker._seen == {}
     anew = steps(tracker, odometry_of(poses), scans_from(poses))
     np.testing.assert_allclose(anew.d_pose, out.d_pose, atol=1e-9)
 

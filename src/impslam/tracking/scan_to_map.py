@@ -89,6 +89,7 @@ class ScanToMap(Tracker):
     def forget(self) -> None:
         """Free the memory of the submaps; a further scan would begin new ones."""
         self.model_post_init(None)
+        self._seen = {}
 
     def settings(self) -> Settings:
         """Return the parameters in the form that kernels take."""

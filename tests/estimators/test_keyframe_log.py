@@ -17,6 +17,7 @@ from tests.estimators.drives import (
 from tests.filters.worlds import observe
 from tests.numeric import wrapped
 
+from impslam.estimators.base import MIN_SIGMA
 from impslam.estimators.keyframe_log import KeyframeLog, blended, refined, revised
 from impslam.estimators.pose_graph import PoseGraph
 from impslam.geometry.se2 import between, compose
@@ -172,11 +173,11 @@ def test_keyframes_without_scans_keep_to_their_motions(seen):
 
 
 def test_a_keyframe_of_a_stationary_robot_is_refined_with_the_previous_one(seen):
-    """Its motion is zero without a doubt: a covariance that has no inverse."""
+    """Its motion is zero, with the smallest covariance that keyframes are added with."""
     way = np.insert(WAY, 11, WAY[10], axis=0)
     scans = [*seen[:11], seen[10], *seen[11:]]
     keys, _ = logged(motions(way), scans)
-    keys._steps.replace(np.array([11]), np.zeros((1, 3, 3)))
+    keys._steps.replace(np.array([11]), MIN_SIGMA**2 * np.eye(3)[None])
     start = perturbed(way, [0.02, 0.02, 0.005])
     out = refined(start, keys)
     assert apart(out, way) < 0.01

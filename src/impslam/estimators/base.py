@@ -15,8 +15,9 @@ from impslam.map import Keyframe, Map, Revision
 from impslam.tracking.base import KeyframeGate
 from impslam.types import NO_EDGES, Array, Edges, Increment, Landmark, Observation
 
-START_SIGMA = 1e-4
-"""m and rad; the start defines the map frame, so this only keeps P positive definite."""
+MIN_SIGMA = 1e-4
+"""m and rad, of the start, which defines the map frame, and added to motions and to the scatter of
+particles: it only keeps covariances positive definite."""
 
 
 class Draft(NamedTuple):

@@ -15,7 +15,7 @@ from pydantic import PrivateAttr
 from impslam.building.landmarks import landmarks_of
 from impslam.component import parameter, register
 from impslam.errors import NumericalError
-from impslam.estimators.base import Draft, Estimator, check_keyframe, is_finite
+from impslam.estimators.base import MIN_SIGMA, Draft, Estimator, check_keyframe, is_finite
 from impslam.estimators.keyframe_log import (
     KeyframeLog,
     Part,
@@ -27,7 +27,7 @@ from impslam.estimators.keyframe_log import (
 from impslam.estimators.loop_closing import LoopCloser, LoopSearch
 from impslam.estimators.map_scale import landmark_with_scale, revision_with_scale
 from impslam.estimators.pose_graph import PoseGraph
-from impslam.estimators.restoring import MIN_SIGMA, restored
+from impslam.estimators.restoring import restored
 from impslam.estimators.sessions import SessionPlacer
 from impslam.estimators.thinning import Thinner
 from impslam.geometry.chain import advance

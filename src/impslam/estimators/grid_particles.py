@@ -35,7 +35,7 @@ from pydantic import PrivateAttr
 from impslam.building.landmarks import landmarks_of
 from impslam.component import parameter, register
 from impslam.errors import NumericalError
-from impslam.estimators.base import START_SIGMA, Draft, Estimator, check_keyframe, is_finite
+from impslam.estimators.base import MIN_SIGMA, Draft, Estimator, check_keyframe, is_finite
 from impslam.estimators.grid_kernels import ancestors, lineage, propose
 from impslam.estimators.keyframe_log import KeyframeLog
 from impslam.estimators.particle_kernels import axes, systematic
@@ -179,7 +179,7 @@ class GridParticles(Estimator):
         offsets = self._poses - pose
         offsets[:, 2] = wrap(offsets[:, 2])
         self._covariances.append(
-            (weights[:, None] * offsets).T @ offsets + START_SIGMA**2 * np.eye(3)
+            (weights[:, None] * offsets).T @ offsets + MIN_SIGMA**2 * np.eye(3)
         )
         line = lineage(self._parents.array, self._leader)
         is_same = np.append(line[:-1] == self._lineage, False)

@@ -31,7 +31,7 @@ from pydantic import PrivateAttr
 
 from impslam.component import parameter, register
 from impslam.errors import NumericalError
-from impslam.estimators.base import START_SIGMA, Estimator, check_keyframe, is_finite
+from impslam.estimators.base import MIN_SIGMA, Estimator, check_keyframe, is_finite
 from impslam.estimators.blur import blurred
 from impslam.estimators.sampling import normalised
 from impslam.filters.base import Filter
@@ -144,7 +144,7 @@ class MultipleHypotheses(Estimator):
         """Begin at a pose (3,) with an empty map; see `Estimator.start`."""
         self._refuse_known(known)
         self._models = parts["models"]
-        parts["filter"].start(pose, START_SIGMA**2 * np.eye(3), self._models)
+        parts["filter"].start(pose, MIN_SIGMA**2 * np.eye(3), self._models)
         self._hypotheses = [Hypothesis(parts["filter"])]
         self._reported, self._observation_count = {}, 0
 

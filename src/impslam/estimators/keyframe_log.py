@@ -304,10 +304,6 @@ def refined(poses: Array, keys: KeyframeLog, rounds: int = 2, part: Part | None 
     return out
 
 
-STATIONARY_SIGMA = 1e-4
-"""m and rad, added to motions of a stationary robot without noise: far below the accuracy of a scan."""
-
-
 def motions(keys: KeyframeLog, rows: Ints) -> Edges:
     """Return the motions between consecutive keyframes, with indices into `rows` (r,).
 
@@ -321,8 +317,5 @@ def motions(keys: KeyframeLog, rows: Ints) -> Edges:
     k = np.flatnonzero(is_within & (keys.is_kept[:-1] | keys.is_kept[1:]))
     T = compose(keys.T_host[k], between(keys.chain[k], keys.chain[k + 1]))
     T = compose(T, inverse(keys.T_host[k + 1]))
-    steps = keys.steps[k + 1]
-    is_stationary = np.diagonal(steps, axis1=1, axis2=2).min(axis=1) < STATIONARY_SIGMA**2
-    steps = steps + STATIONARY_SIGMA**2 * is_stationary[:, None, None] * np.eye(3)
-    information = np.asarray(np.linalg.inv(steps))
+    information = np.asarray(np.linalg.inv(keys.steps[k + 1]))
     return Edges(i[k], j[k], T, information, np.full(len(k), np.inf))

@@ -12,7 +12,7 @@ from pydantic import PrivateAttr
 from impslam.association.base import Assignment, Association
 from impslam.component import parameter, register
 from impslam.errors import NumericalError
-from impslam.estimators.base import START_SIGMA, Estimator, check_keyframe, is_finite
+from impslam.estimators.base import MIN_SIGMA, Estimator, check_keyframe, is_finite
 from impslam.estimators.blur import blurred
 from impslam.estimators.duplicates import Duplicates, with_kept_landmark
 from impslam.estimators.map_scale import landmark_with_scale, revision_with_scale
@@ -70,7 +70,7 @@ class Landmarks(Estimator):
         self._filter, self._association = parts["filter"], parts["association"]
         self._lifecycle, self._models = parts["lifecycle"], parts["models"]
         self._duplicates, self._origin = Duplicates(), pose[:2].copy()
-        self._filter.start(pose, START_SIGMA**2 * np.eye(3), self._models)
+        self._filter.start(pose, MIN_SIGMA**2 * np.eye(3), self._models)
         self._lifecycle.start(self._models, self._association, self._filter.fresh())
 
     def add(self, keyframe: Keyframe) -> Revision:

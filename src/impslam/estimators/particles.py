@@ -32,7 +32,7 @@ from pydantic import PrivateAttr
 from impslam.association.base import Association
 from impslam.component import parameter, register
 from impslam.errors import ConfigError, NumericalError
-from impslam.estimators.base import START_SIGMA, Estimator, check_keyframe, is_finite
+from impslam.estimators.base import MIN_SIGMA, Estimator, check_keyframe, is_finite
 from impslam.estimators.blur import blurred
 from impslam.estimators.particle_book import Book
 from impslam.estimators.particle_kernels import add_information, axes, correct, systematic
@@ -271,7 +271,7 @@ class Particles(Estimator):
         mean = weights @ off
         pose, off = middle + mean, off - mean
         pose[2] = wrap(float(pose[2]))
-        covariance = (weights[:, None] * off).T @ off + START_SIGMA**2 * np.eye(3)
+        covariance = (weights[:, None] * off).T @ off + MIN_SIGMA**2 * np.eye(3)
         return Revision(np.array([keyframe.id]), pose[None], covariance[None], **facts)
 
     def landmarks(self) -> tuple[Landmark, ...]:

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from impslam.errors import NumericalError
+from impslam.estimators.base import MIN_SIGMA
 from impslam.estimators.keyframe_log import METRES_PER_RADIAN, KeyframeLog
 from impslam.estimators.pose_graph import CLOSURE_LENGTH, PoseGraph
 from impslam.geometry.chain import advance
@@ -22,8 +23,6 @@ from impslam.recognition.places import ALIGN_WINDOW
 from impslam.recognition.stored import points_view
 from impslam.types import Array, Edges, Ints, Mask
 
-MIN_SIGMA = 1e-4
-"""m and rad, added to motions and the start to keep covariances positive definite."""
 MAX_HOST_DISTANCE = 0.6
 """m between a dropped keyframe and its host; refinement has moved both by centimetres."""
 MAX_FOLD_DISTANCE = 4.0

@@ -18,7 +18,7 @@ from pydantic import PrivateAttr
 
 from impslam.component import parameter, register
 from impslam.errors import ConfigError, NumericalError
-from impslam.estimators.base import START_SIGMA, Draft, is_definite, is_finite
+from impslam.estimators.base import MIN_SIGMA, Draft, is_definite, is_finite
 from impslam.estimators.blur import blurred
 from impslam.estimators.landmarks import Landmarks
 from impslam.estimators.smoother import Smoother, SmootherEstimate
@@ -62,7 +62,7 @@ class Smoothing(Landmarks):
                 f"estimator 'smoothing' cannot lead the filter {self._filter.name!r}; choose another "
                 "one with --set filter.kind=riekf"
             )
-        self._smoother = Smoother(pose, START_SIGMA, self.relinearise)
+        self._smoother = Smoother(pose, MIN_SIGMA, self.relinearise)
         self._nodes, self._dims, self._settled = [], {}, None
         self._covariances = GrowingArray(3, 3)
 

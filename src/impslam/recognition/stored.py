@@ -7,11 +7,9 @@ import numpy as np
 from impslam.geometry.angles import wrap
 from impslam.map import Keyframes
 from impslam.recognition.free_ranges import Floats, free_ranges
-from impslam.recognition.submap import View
+from impslam.recognition.submap import FEATURE_SPACING, View
 from impslam.surfaces.features import find_features
 from impslam.types import Array
-
-FEATURE_SPACING = 0.04  # m, as in `submap.view`
 
 
 def stored_views(keyframes: Keyframes) -> list[View]:

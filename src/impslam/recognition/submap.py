@@ -14,6 +14,7 @@ from impslam.recognition.free_ranges import Floats, free_ranges
 from impslam.surfaces.features import Features, beam_spacing, features
 from impslam.types import Array, Ints, Scan
 
+FEATURE_SPACING = 0.04  # m between the features of a view, at least
 _NONE = np.iinfo(np.int64).min  # marks an empty entry of a hash table
 
 
@@ -48,10 +49,10 @@ class Submap(NamedTuple):
     free: Floats
 
 
-def view(scan: Scan, thin: float = 0.04) -> View:
-    """Return the view of a scan, with features at least `thin` m apart."""
+def view(scan: Scan) -> View:
+    """Return the view of a scan, with features at least `FEATURE_SPACING` apart."""
     free = free_ranges(scan.points[scan.valid], scan.laser[:2], beam_spacing(scan.angles))
-    return View(features(scan, thin), scan.laser[:2].copy(), free)
+    return View(features(scan, FEATURE_SPACING), scan.laser[:2].copy(), free)
 
 
 def gather(

@@ -23,8 +23,6 @@ from impslam.geometry.kernels import kernel
 from impslam.tracking.local_map import LocalMap, add, nearest, size
 from impslam.types import Array, Ints
 
-AS_GIVEN, MATCHED, UNSOLVED = 0, 1, 2
-"""Results of a match: the prior is unchanged; it was refined; prior and scan have no solution."""
 MIN_POINTS = 10
 """Points of the scan and of the map that matching needs."""
 _MIN_PRIOR_SIGMA = 1e-6  # m, rad: keeps the prior invertible
@@ -51,47 +49,46 @@ class Settings(NamedTuple):
 @kernel
 def match(
     d_pose: Array, covariance: Array, points: Array, local_map: LocalMap, settings: Settings
-) -> int:
+) -> bool:
     """Refine, in place, the motion (3,), (3, 3) since the last scan, and add the scan to the map.
 
-    `points` are `Surfels.rows` of the scan. Without a solution nothing changes. Returns one of
-    `AS_GIVEN`, `MATCHED` and `UNSOLVED`.
+    `points` are `Surfels.rows` of the scan. Returns whether prior and scan have a solution; without one
+    nothing changes.
     """
-    status = AS_GIVEN
-    if len(points) >= MIN_POINTS and size(local_map) >= MIN_POINTS:
-        status = _refine(d_pose, covariance, points, local_map, settings)
-        if status == UNSOLVED:
-            return status
+    can_match = len(points) >= MIN_POINTS and size(local_map) >= MIN_POINTS
+    if can_match and not _refine(d_pose, covariance, points, local_map, settings):
+        return False
     advance_pose(local_map.pose, d_pose)
     local_map.travelled[0] += math.hypot(d_pose[0], d_pose[1]) + abs(d_pose[2])
     add(local_map, points, settings.spacing, settings.memory)
-    return status
+    return True
 
 
 @kernel
 def _refine(
     d_pose: Array, covariance: Array, points: Array, local_map: LocalMap, settings: Settings
-) -> int:
+) -> bool:
+    """Refine the motion if enough points have partners; return whether there is a solution."""
     angle = local_map.pose[2]
     prior, guess = rotate_covariance(covariance, angle), local_map.pose.copy()
     for a in range(3):
         prior[a, a] += _MIN_PRIOR_SIGMA**2
     advance_pose(guess, d_pose)
     if not invert(prior):
-        return UNSOLVED
+        return False
     pose, information = guess.copy(), prior.copy()
     pairs = _optimise(pose, guess, prior, information, points, local_map, settings)
     if not (np.isfinite(pose).all() and invert(information)):
-        return UNSOLVED
+        return False
     if pairs < settings.min_share * len(points):
-        return AS_GIVEN
+        return True
     between(local_map.pose, pose, d_pose)
     covariance[:] = rotate_covariance(information, -angle)
     distance, turn = math.hypot(d_pose[0], d_pose[1]), abs(d_pose[2])
     covariance[0, 0] += settings.drift[0] ** 2 * distance
     covariance[1, 1] += settings.drift[1] ** 2 * distance
     covariance[2, 2] += settings.drift[2] ** 2 * distance + settings.drift[3] ** 2 * turn
-    return MATCHED
+    return True
 
 
 @kernel

@@ -24,7 +24,7 @@ from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.chain import advance, advance_pose
 from impslam.geometry.kernels import kernel
 from impslam.health import NONE, OPPOSED, PUSHED, SLIPPED, Reasons
-from impslam.tracking.icp import UNSOLVED, Settings, match
+from impslam.tracking.icp import Settings, match
 from impslam.tracking.local_map import LocalMap, empty_map
 from impslam.tracking.match_faults import turns_oppose
 from impslam.tracking.offsets import (
@@ -184,7 +184,7 @@ def _check(
         points = thin(points, settings.spacing, True)
         motion, wide = pending.pose.copy(), pending.covariance.copy()
         _widen(wide, pending.clock[0])
-        if match(motion, wide, points, local_map, settings) != UNSOLVED:
+        if match(motion, wide, points, local_map, settings):
             out[k] = _find_contradiction(before, motion, wide, history, pending)
             if out[k] != NONE:
                 _substitute(d_pose[k], covariance[k], before, motion, wide, history)

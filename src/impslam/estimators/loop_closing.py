@@ -133,14 +133,13 @@ class LoopCloser:
         possible = (paths > self._search.way_back) & (offsets < windows + 2.0) & np.isfinite(paths)
         possible[node:] = False
         possible &= ~graph.is_folded
-        if not possible.any():
+        if not possible.any() or (query := self._query(node, keys)) is None:
             return False
-        query = self._query(node, keys)
         rank = np.where(possible, offsets / (windows + 2.0) + 1e-4 * paths, np.inf)
         driven = keys.distance[keys.nodes]
         for _ in range(self._search.attempts):
             u = int(np.argmin(rank))
-            if rank[u] == np.inf or query is None:
+            if rank[u] == np.inf:
                 return False
             reference = self._reference(u, node, keys, graph)
             if reference is not None:
@@ -150,7 +149,7 @@ class LoopCloser:
                 if closure is not None:
                     new = PendingClosure(u, node, closure, float(driven[node]))
                     return self._accept(new, graph, windows[u])
-            rank[: len(driven)][np.abs(driven - driven[u]) < PASS_DISTANCE] = np.inf
+            rank[np.abs(driven - driven[u]) < PASS_DISTANCE] = np.inf
         return False
 
     def compare(

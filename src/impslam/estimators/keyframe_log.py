@@ -203,7 +203,10 @@ class KeyframeLog:
         )
 
     def placed_scans(self, poses: Array, rows: Ints | None = None) -> PlacedScans:
-        """Return the scans of keyframes at poses (k, 3), thinned like their features."""
+        """Return the scans of all keyframes, or of some rows (r,), thinned like their features.
+
+        `poses` (k, 3) or (r, 3) are those of the same keyframes.
+        """
         features, starts, lasers = self.scans(rows)
         return PlacedScans(poses, lasers, starts, np.ascontiguousarray(features[:, :2]))
 

@@ -30,6 +30,7 @@ from impslam.recognition.verify import (
 )
 from impslam.surfaces.features import Features
 from impslam.surfaces.surface_map import (
+    CELL,
     Alignment,
     FitSums,
     SurfaceMap,
@@ -267,7 +268,7 @@ def _cleared(known: SurfaceMap, low: Array, high: Array, surfels: int) -> Surfac
     """Return an empty map from corner to corner (2,); reuse `known` if it is large enough."""
     extent = high - low
     height, width = known.nearest.shape
-    current = np.array([width, height]) * 0.05
+    current = np.array([width, height]) * CELL
     if (extent > current).any() or surfels > len(known.surfels):
         x, y = np.ceil(np.maximum(extent, current) / 8.0) * 8.0
         known = empty_surface_map(x, y, max(surfels, len(known.surfels)))

@@ -194,7 +194,10 @@ class Tracker(Component):
             self._problems.add(kind, message.format(stamp))
 
     def _track(self, tracked: _Tracked, rows: slice, *, has_keyframe: bool) -> Track:
-        """Return the track of some rows, and with `is_keyframe` the keyframe in the row after them."""
+        """Return the track of some rows.
+
+        With `has_keyframe`, the row after them is the keyframe that ends it.
+        """
         motions, steps, sweeps, odometry = tracked
         stop = rows.stop + 1 if has_keyframe else rows.stop
         T, spread, T_stamp, spread_stamp = _accumulate(

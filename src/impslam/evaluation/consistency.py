@@ -94,9 +94,9 @@ def chi2_bounds(dof: int, runs: float = 1, confidence: float = 0.95) -> tuple[fl
     return low, high
 
 
-def share_within(values: Array, runs: int, dof: int, confidence: float = 0.95) -> float:
-    """Return the share of means over `runs` (n,) within their bounds; ideally `confidence`."""
-    low, high = chi2_bounds(dof, runs, confidence)
+def share_within(values: Array, runs: int, dof: int) -> float:
+    """Return the share of means over `runs` (n,) within their 95 % bounds; ideally 0.95."""
+    low, high = chi2_bounds(dof, runs)
     return float(np.mean((values >= low) & (values <= high)))
 
 

@@ -16,6 +16,10 @@ from impslam.evaluation.trajectory import Statistics, relative, statistics
 from impslam.evaluation.tum import read_numbers
 from impslam.types import Array, Ints
 
+SLACK = 0.3
+"""s between a relation's stamp and the nearest pose: more than the period of the lidars in the suite, whose
+relations refer to single scans."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RelationErrors:
@@ -50,11 +54,8 @@ def read_relations(path: Path) -> Array:
     return rows[:, [0, 1, 2, 3, 7]]
 
 
-def relation_errors(trajectory: Array, relations: Array, slack: float = 0.3) -> RelationErrors:
+def relation_errors(trajectory: Array, relations: Array) -> RelationErrors:
     """Compare a trajectory (n, 4) with relations (k, 5).
-
-    `slack` is the maximum time between a relation's stamp and the nearest pose, s. The default is more than
-    the period of the lidars in the suite, whose relations refer to single scans.
 
     Raises
     ------
@@ -64,7 +65,7 @@ def relation_errors(trajectory: Array, relations: Array, slack: float = 0.3) -> 
     rows = trajectory[np.argsort(trajectory[:, 0], kind="stable")]
     first, gap_first = _nearest(rows[:, 0], relations[:, 0])
     second, gap_second = _nearest(rows[:, 0], relations[:, 1])
-    found = (gap_first <= slack) & (gap_second <= slack)
+    found = (gap_first <= SLACK) & (gap_second <= SLACK)
     if not found.any():
         raise ImpError(
             "no relation is within the trajectory's time; check that both are of the same log"

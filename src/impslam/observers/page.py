@@ -92,18 +92,12 @@ def folded(title: str, content: str) -> str:
     return f"<details><summary>{escape(title)}</summary>{content}</details>"
 
 
-def chart(
-    title: str,
-    time: Array,
-    lines: Sequence[ChartLine],
-    band: Array | None = None,
-    zero: bool = True,
-) -> str:
+def chart(title: str, time: Array, lines: Sequence[ChartLine], band: Array | None = None) -> str:
     """Return a chart over time (n,) s; the area within +-`band` (n,) is shaded."""
     t = time - time[0]
     values = [line.values for line in lines]
     shades = [] if band is None else [band, -band]
-    low, high, ticks = _axis(values, shades, zero)
+    low, high, ticks = _axis(values, shades)
     span = max(float(t[-1]), 1e-9)
     x = 1000.0 * t / span
 
@@ -132,16 +126,15 @@ def times(begin: float, end: float) -> str:
     return f' data-begin="{begin:.6f}" data-end="{end:.6f}"'
 
 
-def _axis(values: list[Array], shades: list[Array], zero: bool) -> tuple[float, float, list[float]]:
-    """Return the minimum and maximum to show, and the ticks.
+def _axis(values: list[Array], shades: list[Array]) -> tuple[float, float, list[float]]:
+    """Return the minimum and maximum to show, which include 0, and the ticks.
 
     A band that is far wider than the lines is cut off to keep the lines visible.
     """
     joined = np.concatenate(values)
     joined = joined[np.isfinite(joined)]
     low, high = (joined.min(), joined.max()) if len(joined) else (0.0, 1.0)
-    if zero:
-        low, high = min(low, 0.0), max(high, 0.0)
+    low, high = min(low, 0.0), max(high, 0.0)
     if shades:
         extent = max(-low, high, 1e-12)
         width = min(float(np.nanmax(shades[0])), 4.0 * extent)

@@ -35,8 +35,6 @@ def distance2(one: Relation, other: Relation, references: Relation, queries: Rel
     return float(error @ np.linalg.solve(P + Q, error))
 
 
-def consistent(
-    one: Relation, other: Relation, references: Relation, queries: Relation, gate: float = GATE
-) -> bool:
+def consistent(one: Relation, other: Relation, references: Relation, queries: Relation) -> bool:
     """Return whether closures `T_a_b` and `T_c_d` agree, given the chains `T_a_c` and `T_b_d`."""
-    return distance2(one, other, references, queries) <= gate
+    return distance2(one, other, references, queries) <= GATE

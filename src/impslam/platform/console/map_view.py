@@ -12,6 +12,7 @@ from nicegui.events import GenericEventArguments
 from impslam.platform.console.encoding import SentState
 from impslam.platform.console.feed import Feed
 
+FOOTPRINT = (0.40, 0.30)  # m, length and width of the robot as drawn
 MAX_COORDINATE = 1e6  # m from the origin of a map, larger than any map
 PERIOD = 0.05  # s between checks for a new frame: half a sweep of the fastest lidar
 
@@ -28,22 +29,16 @@ class MapView(Element, component="map_view.js", esm={"impslam-map": "map"}):
     ----------
     feed : source of the frames
     hint : called with the position (m in map) of a click while the robot is being located in a map
-    footprint : length and width of the robot as drawn, m
     """
 
-    def __init__(
-        self,
-        feed: Feed,
-        hint: Hint | None = None,
-        footprint: tuple[float, float] = (0.40, 0.30),
-    ) -> None:
+    def __init__(self, feed: Feed, hint: Hint | None = None) -> None:
         super().__init__()
         self._hint = hint
         self._props["asks"] = False
         self._feed = feed
         self._sent_state = SentState()
         self._pending_version: int | None = None
-        self._props["footprint"] = list(footprint)
+        self._props["footprint"] = list(FOOTPRINT)
         self.on("drawn", self._on_drawn)
         if hint is not None:
             self.on("hint", self._on_hint)

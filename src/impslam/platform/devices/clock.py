@@ -18,6 +18,11 @@ from collections import deque
 
 from impslam.platform.devices.lower_hull import Point, edge_at_mean
 
+WINDOW = 30.0
+"""s of arrivals that are used; a crystal's drift changes by less than 0.1 ppm/s as it warms, which bends
+the line by 0.1e-6 WINDOW^2 / 8 = 11 us."""
+MAX_DRIFT = 200e-6
+"""Bound of the drift, above that of two crystals (100 ppm each)."""
 BIN = 0.5  # s; only the earliest arrival of each bin is kept, as the edge lies on the early ones
 STALL_DELAY = 0.1  # s of delay above which the host (or the bus) counts as stalled
 MAX_STALL = 5.0  # s of stalled arrivals only, after which a clock has jumped instead
@@ -29,12 +34,6 @@ MIN_STEP = 1e-6  # s, smallest step of stamps, even across a restart of the devi
 class DeviceClock:
     """Maps a device's clock (s, unwrapped) to the host's time base.
 
-    Parameters
-    ----------
-    window : s of arrivals that are used; a crystal's drift changes by less than 0.1 ppm/s as it warms,
-        which bends the line by 0.1e-6 window^2 / 8 = 11 us over 30 s
-    max_drift : bound of the drift, above that of two crystals (100 ppm each)
-
     Attributes
     ----------
     drift : 1, host seconds per device second, minus 1
@@ -43,9 +42,8 @@ class DeviceClock:
     delay : s, delay of the last reading above the minimum delay
     """
 
-    def __init__(self, window: float = 30.0, max_drift: float = 200e-6) -> None:
-        self._max_drift = max_drift
-        self._bins: deque[Point] = deque(maxlen=max(2, round(window / BIN)))
+    def __init__(self) -> None:
+        self._bins: deque[Point] = deque(maxlen=round(WINDOW / BIN))
         self._origin: Point | None = None  # device and host time of the first arrival
         self._last_stamp: Point | None = None  # device and host time of the last returned stamp
         self._latest = -math.inf  # device time of the last arrival
@@ -120,7 +118,7 @@ class DeviceClock:
     def _has_jumped(self, device: float, host: float) -> bool:
         x, y = self._from_origin(device, host)
         # A line of few bins may be wrong by as much as the maximum drift.
-        early = self._line_at(x) - y > JUMP + self._max_drift * abs(device - self._latest)
+        early = self._line_at(x) - y > JUMP + MAX_DRIFT * abs(device - self._latest)
         return device < self._latest or early or device - self._late_since > MAX_STALL
 
     def _note_stall(self, device: float, height: float) -> None:
@@ -161,8 +159,8 @@ class DeviceClock:
         return False
 
     def _fit(self) -> None:
-        """Fit the line below all points that is highest at their mean, with a slope of `max_drift`."""
-        slope = max(-self._max_drift, min(self._max_drift, self._slope()))
+        """Fit the line below all points that is highest at their mean, with a slope up to +-`MAX_DRIFT`."""
+        slope = max(-MAX_DRIFT, min(MAX_DRIFT, self._slope()))
         self._line = min(y - slope * x for x, y in self._bins), slope
 
     def _slope(self) -> float:

@@ -16,6 +16,8 @@ from impslam.platform.devices.scip_encoding import DamagedError
 if TYPE_CHECKING:
     import serial
 
+LAST_WAIT = 0.1  # s for the answer to a last request
+
 
 class UnansweredError(DeviceError):
     """A request without an answer."""
@@ -108,10 +110,10 @@ class ScipLink:
             "that it has power, and that no other program uses it"
         )
 
-    def send_last(self, request: bytes, wait: float = 0.1) -> None:
+    def send_last(self, request: bytes) -> None:
         """Send a last request, even when stopping, and wait shortly for its answer."""
         self.send(request)
-        end = now() + wait
+        end = now() + LAST_WAIT
         self._received.clear()
         echo = request.decode("ascii").rstrip("\n")
         while now() < end:

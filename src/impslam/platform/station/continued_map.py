@@ -12,7 +12,6 @@ from impslam.continuing import Known
 from impslam.map import Map
 from impslam.open_log import for_continuing
 from impslam.platform.station.map_store import FILE
-from impslam.types import Array
 
 
 class ContinuedMap(NamedTuple):
@@ -27,9 +26,7 @@ class ContinuedMap(NamedTuple):
         return self._replace(known=self.known._replace(hint=np.array([x, y])))
 
 
-def load_continued_map(
-    folder: Path, preset: str, *, frozen: bool, hint: Array | None = None
-) -> ContinuedMap:
+def load_continued_map(folder: Path, preset: str, *, frozen: bool) -> ContinuedMap:
     """Load the map of a folder, to be continued with a preset.
 
     An estimator that cannot continue a map is replaced by `graph`.
@@ -39,5 +36,5 @@ def load_continued_map(
     ImpError
         If the map cannot be read.
     """
-    known = Known(Map.load(folder / FILE), frozen, hint)
+    known = Known(Map.load(folder / FILE), frozen)
     return ContinuedMap(folder.name, known, for_continuing(load(preset)))

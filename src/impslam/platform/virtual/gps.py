@@ -31,14 +31,11 @@ class GpsEmulator:
     Parameters
     ----------
     pose : returns the true pose (3,)
-    plane : position of map's origin on the earth
     seed : of its errors
     """
 
-    def __init__(
-        self, pose: Callable[[], Array], plane: LocalPlane = ORIGIN, seed: int = 0
-    ) -> None:
-        self._pose, self._plane = pose, plane
+    def __init__(self, pose: Callable[[], Array], seed: int = 0) -> None:
+        self._pose = pose
         self._rng = np.random.default_rng(seed)
         self._shared = SHARED * self._rng.standard_normal(2)
         self._waiting: list[tuple[float, bytes]] = []
@@ -68,7 +65,7 @@ class GpsEmulator:
         innovation = SHARED * math.sqrt(1.0 - correlation**2)
         self._shared = correlation * self._shared + innovation * self._rng.standard_normal(2)
         error = self._shared + WHITE * self._rng.standard_normal(2)
-        place = self._plane.geodetic(np.array([*(self._pose()[:2] + error), 0.0]))
+        place = ORIGIN.geodetic(np.array([*(self._pose()[:2] + error), 0.0]))
         moment = (START_TIME + time) % 86400.0
         clock = f"{int(moment // 3600):02}{int(moment // 60) % 60:02}{moment % 60:05.2f}"
         lat, lon = _degrees(place[0], "NS", 2), _degrees(place[1], "EW", 3)

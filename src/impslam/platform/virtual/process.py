@@ -28,7 +28,6 @@ from impslam.platform.virtual.assembly import Setup, assemble
 from impslam.platform.virtual.control import answer
 from impslam.platform.virtual.imp import PERIOD, VirtualImp
 from impslam.platform.virtual.rplidar import A1
-from impslam.simulation.robot import SimulatedRobot
 from impslam.simulation.world import World, load_world
 
 START_TIMEOUT = 600.0
@@ -46,8 +45,7 @@ class VirtualRobot:
     ----------
     world : a world, the name of a shipped one, or a TOML file
     seed : of every random draw
-    robot : its sensors and their faults
-    options : further fields of `Setup`, such as lidar="rplidar"
+    options : further fields of `Setup`, such as lidar="rplidar" or robot
 
     Raises
     ------
@@ -59,13 +57,10 @@ class VirtualRobot:
         self,
         world: World | str | Path = "arena",
         seed: int = 0,
-        robot: SimulatedRobot | None = None,
         **options: Any,
     ) -> None:
         world = world if isinstance(world, World) else load_world(world)
-        self._setup = Setup(
-            world=world, robot=robot or SimulatedRobot(), seed=seed, folder=Path(), **options
-        )
+        self._setup = Setup(world=world, seed=seed, folder=Path(), **options)
         self._process: subprocess.Popen[str] | None = None
         self._answers: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._unanswered = 0

@@ -17,6 +17,7 @@ from impslam.columns import Motions, Scans
 from impslam.geometry.chain import advance_pose
 from impslam.geometry.kernels import kernel, plain
 from impslam.tracking.contradictions import CLEARANCE, free_ranges
+from impslam.tracking.per_lidar import PerLidar
 from impslam.tracking.reference_scan import Geometry, geometry_of, laser_motion, seen_from
 from impslam.types import Array, Ints, Mask
 
@@ -77,7 +78,7 @@ class JumpCheck:
 
     def __init__(self) -> None:
         self._pose, self._time = np.zeros(3), np.zeros(1)
-        self._past: dict[str, PastScans] = {}
+        self._past = PerLidar(no_past)
 
     def find(self, motions: Motions, scans: Scans, sensor: str) -> tuple[Array, Mask]:
         """Return the share (m,) of the beams that show a jump, else 0, and whether it is confirmed (m,).
@@ -85,10 +86,7 @@ class JumpCheck:
         `motions` are those before each of these scans, since the scan of any lidar before.
         """
         m, beams = scans.ranges.shape
-        shares, confirmed, past = np.zeros(m), np.zeros(m, np.bool_), self._past.get(sensor)
-        if past is None or past.ranges.shape[1] != beams:
-            past = no_past(beams)
-            self._past[sensor] = past
+        shares, confirmed, past = np.zeros(m), np.zeros(m, np.bool_), self._past.get(sensor, beams)
         ranges = plain(np.where(scans.valid, scans.ranges, 0.0))
         motion = plain(motions.d_pose), plain(motions.duration)
         now, results = (self._pose, self._time), (shares, confirmed)

@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 from pydantic import PrivateAttr
 
-from impslam.columns import Motions, Scans, Sweeps
+from impslam.columns import Motions, Sweeps
 from impslam.component import register
 from impslam.health import CARRIED, CHANGED, MISTIMED
 from impslam.tracking.base import Gate, Steps, Tracker, mark_keyframes
 from impslam.tracking.jump import JumpCheck
 from impslam.tracking.odometry_check import OdometryCheck
+from impslam.tracking.per_lidar import PerLidar
 from impslam.tracking.stall import StallState, initial_stall_state, undo_stalled_motion
 from impslam.tracking.surfels import prepare
 from impslam.tracking.traction import Traction
@@ -23,7 +24,9 @@ class OdometryTracker(Tracker):
     _check: OdometryCheck = PrivateAttr(default_factory=OdometryCheck)
     _traction: Traction = PrivateAttr(default_factory=Traction)
     _jumps: JumpCheck = PrivateAttr(default_factory=JumpCheck)
-    _stalls: dict[str, StallState] = PrivateAttr(default_factory=dict)
+    _stalls: PerLidar[StallState] = PrivateAttr(
+        default_factory=lambda: PerLidar(initial_stall_state)
+    )
 
     def steps(self, motions: Motions, sweeps: Sweeps, gate: Gate) -> Steps:
         """Follow odometry; see `Tracker.steps`."""
@@ -33,9 +36,8 @@ class OdometryTracker(Tracker):
         surfels = None if scans is None else prepare(scans, OdometryCheck.spacing)
         checked, reasons, amounts = self._check.check(motions, surfels)
         if scans is not None:
-            undo_stalled_motion(
-                motions.d_pose, checked, scans, self._stall_state(sweeps.sensor, scans), reasons
-            )
+            stall = self._stalls.get(sweeps.sensor, scans.ranges.shape[1])
+            undo_stalled_motion(motions.d_pose, checked, scans, stall, reasons)
         reasons = np.maximum(reasons, slipped)
         amounts[reasons > MISTIMED] = 0.0
         if scans is not None:
@@ -48,10 +50,3 @@ class OdometryTracker(Tracker):
             checked.d_pose, checked.covariance, checked.d_pose, np.ones(m, np.bool_), keyframes,
             np.zeros(m, np.bool_), reasons, amounts,
         )  # fmt: skip
-
-    def _stall_state(self, sensor: str, scans: Scans) -> StallState:
-        """Return the stall state of a lidar; only its own sweeps are compared with each other."""
-        beams, state = scans.ranges.shape[1], self._stalls.get(sensor)
-        if state is None or len(state.ranges) != beams:
-            state = self._stalls[sensor] = initial_stall_state(beams)
-        return state

@@ -17,6 +17,7 @@ from impslam.tracking.jump import no_past
 from impslam.tracking.learned_odometry import initial_odometry
 from impslam.tracking.match_faults import initial_faults
 from impslam.tracking.matching_state import BeamColumns, LidarState, Settings, State
+from impslam.tracking.per_lidar import PerLidar
 from impslam.tracking.reference_scan import Geometry, geometry_of
 from impslam.tracking.scan_matching import USUAL_RMS, USUAL_SHARE, follow
 from impslam.tracking.submaps import empty_submaps
@@ -62,10 +63,11 @@ class ScanToMap(Tracker):
         "drift of matched motion: surfaces look different from different positions",
     )
     _state: State = PrivateAttr()
-    _seen: dict[str, LidarState] = PrivateAttr(default_factory=dict)
+    _seen: PerLidar[LidarState] = PrivateAttr()
 
     def model_post_init(self, context: object) -> None:
         """Begin with empty submaps."""
+        self._seen = PerLidar(_no_scans)
         self._state = State(
             empty_submaps(self.reach + self.length),
             initial_odometry(),
@@ -89,7 +91,6 @@ class ScanToMap(Tracker):
     def forget(self) -> None:
         """Free the memory of the submaps; a further scan would begin new ones."""
         self.model_post_init(None)
-        self._seen = {}
 
     def settings(self) -> Settings:
         """Return the parameters in the form that kernels take."""
@@ -106,9 +107,7 @@ class ScanToMap(Tracker):
     def steps(self, motions: Motions, sweeps: Sweeps, gate: Gate) -> Steps:
         """Match each sweep with the submaps; see `Tracker.steps`."""
         beams = _beams(sweeps.scans, len(sweeps))
-        lidar = self._seen.get(sweeps.sensor)
-        if lidar is None or len(lidar.ranges) != beams.ranges.shape[1]:
-            lidar = self._seen[sweeps.sensor] = _no_scans(beams.ranges.shape[1])
+        lidar = self._seen.get(sweeps.sensor, beams.ranges.shape[1])
         m = len(sweeps)
         reference, ends, located = np.zeros((3, m), np.bool_)
         out = Steps(

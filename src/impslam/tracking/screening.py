@@ -15,6 +15,7 @@ from impslam.noise import MAX_GAP
 from impslam.sources.base import Problems
 from impslam.tracking.covered import Cover, hidden_beams, initial_cover
 from impslam.tracking.intervals import is_gap, updated_interval
+from impslam.tracking.per_lidar import PerLidar
 from impslam.tracking.scan_stream import StreamState, check_stream, initial_stream_state
 from impslam.types import Array, Mask
 
@@ -44,7 +45,7 @@ class Screening:
     """Leaves out repeated scans and covered beams; reports these and gaps."""
 
     def __init__(self) -> None:
-        self._lidars: dict[str, tuple[StreamState, Cover]] = {}
+        self._lidars = PerLidar(_no_scans)
         # usual interval between the sweeps of each sensor, (1,) s
         self._intervals: dict[str, Array] = {}
 
@@ -64,7 +65,7 @@ class Screening:
     ) -> Sweeps:
         scans, stamps = sweeps.scans, sweeps.columns.stamps
         assert scans is not None
-        stream, cover = self._state_of(sweeps.sensor, len(scans.angles))
+        stream, cover = self._lidars.get(sweeps.sensor, len(scans.angles))
         hidden = hidden_beams(motions.d_pose, scans, cover)
         share = hidden.sum(axis=1) / np.maximum(scans.valid.sum(axis=1), 1)
         reasons[:] = check_stream(stamps, scans.ranges, motions.d_pose, stream)
@@ -84,12 +85,10 @@ class Screening:
             return sweeps
         return replace(sweeps, scans=replace(scans, valid=scans.valid & ~hidden))
 
-    def _state_of(self, sensor: str, beams: int) -> tuple[StreamState, Cover]:
-        """Return the state of a lidar."""
-        state = self._lidars.get(sensor)
-        if state is None or len(state[0].ranges) != beams:
-            state = self._lidars[sensor] = initial_stream_state(beams), initial_cover(beams)
-        return state
+
+def _no_scans(beams: int) -> tuple[StreamState, Cover]:
+    """Return the state of a lidar with this number of beams before its first scan."""
+    return initial_stream_state(beams), initial_cover(beams)
 
 
 @kernel

@@ -10,15 +10,15 @@ import numpy.typing as npt
 
 from impslam.geometry.chain import advance
 from impslam.geometry.kernels import kernel, read_only
-from impslam.geometry.se2 import between, compose
+from impslam.geometry.se2 import between, compose, motion_lengths
 from impslam.growing import GrowingArray
 from impslam.map import UPPER, Keyframe, Keyframes, Map, PathRows, Revision, Track, poses_in_map
 from impslam.types import NO_EDGES, Array, Edges, Landmark, Mask, Scan
 
 _DISTINCT = np.ravel_multi_index(UPPER, (3, 3))
 """Indices of the entries of `UPPER` in the flattened matrix."""
-METRES_PER_RADIAN = 0.5
-"""A turn of a radian changes the view by about as much as half a metre of travel."""
+NEARNESS_PER_RADIAN = 0.5
+"""m that a turn of a radian counts for where sweeps between two keyframes are given to the nearer one."""
 
 
 class MapBuilder:
@@ -184,7 +184,7 @@ def blended(known: Map) -> Map:
     """Return a map whose sweeps are interpolated between the keyframes before and after them.
 
     Without it, the path has a step at each keyframe that was moved relative to the previous one. The nearer
-    keyframe has more weight; see `METRES_PER_RADIAN`.
+    keyframe has more weight; see `NEARNESS_PER_RADIAN`.
     """
     keyframes = known.keyframes
     if len(keyframes) < 2:
@@ -195,9 +195,7 @@ def blended(known: Map) -> Map:
     is_between = (after > before) & (keyframes.sessions[after] == keyframes.sessions[before])
     is_between &= np.isfinite(T_after).all(axis=1)
     T_after = np.where(is_between[:, None], T_after, 0.0)
-    since, until = (
-        np.hypot(d[:, 0], d[:, 1]) + METRES_PER_RADIAN * np.abs(d[:, 2]) for d in (T, T_after)
-    )
+    since, until = (motion_lengths(d, NEARNESS_PER_RADIAN) for d in (T, T_after))
     share = np.where(is_between, since / np.maximum(since + until, 1e-9), 0.0)
     step = between(compose(poses[before], T), compose(poses[after], T_after))
     return replace(known, T_anchor_base=compose(T, share[:, None] * step))

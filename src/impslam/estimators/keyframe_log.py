@@ -14,7 +14,7 @@ from impslam.estimators.pose_graph import PoseGraph
 from impslam.geometry.angles import wrap
 from impslam.geometry.chain import advance
 from impslam.geometry.kernels import kernel
-from impslam.geometry.se2 import between, compose, inverse
+from impslam.geometry.se2 import between, compose, inverse, motion_lengths
 from impslam.graph.bearings import ScanFeatures
 from impslam.graph.bundle import RefinementSettings, refine
 from impslam.graph.overlaps import Nearness, overlaps
@@ -29,8 +29,9 @@ from impslam.types import NO_EDGES, Array, Ints, Mask
 
 Points: TypeAlias = npt.NDArray[np.float32]
 NO_POINTS: Points = np.empty((0, 2), np.float32)
-METRES_PER_RADIAN = 0.3
-"""A turn of a radian changes the view by about as much as this distance."""
+DRIVEN_PER_RADIAN = 0.3
+"""m that a turn of a radian counts for in the distance driven, which spaces nodes and limits the drift
+between them. Other purposes have other values: `map_builder`, `maps.relation`, `graph.overlaps`."""
 SESSION_GAP = 1000.0
 """m, distance set between two sessions, where it is unknown: longer than any search along the drive."""
 
@@ -77,7 +78,7 @@ class KeyframeLog:
         if len(self):
             distance, session = self._distance.array[-1], self._sessions.array[-1]
         if start is None:
-            distance += np.hypot(d_pose[0], d_pose[1]) + METRES_PER_RADIAN * abs(d_pose[2])
+            distance += float(motion_lengths(d_pose, DRIVEN_PER_RADIAN))
             start = self._chain.array[-1]
         else:
             distance, session = distance + SESSION_GAP if len(self) else 0.0, session + 1
@@ -148,7 +149,7 @@ class KeyframeLog:
 
     @property
     def distance(self) -> Array:
-        """Distance (k,) m driven up to each, with `METRES_PER_RADIAN` for turns."""
+        """Distance (k,) m driven up to each, with `DRIVEN_PER_RADIAN` for turns."""
         return self._distance.array
 
     @property

@@ -11,10 +11,10 @@ import numpy as np
 
 from impslam.errors import NumericalError
 from impslam.estimators.base import MIN_SIGMA
-from impslam.estimators.keyframe_log import METRES_PER_RADIAN, KeyframeLog
+from impslam.estimators.keyframe_log import DRIVEN_PER_RADIAN, KeyframeLog
 from impslam.estimators.pose_graph import CLOSURE_LENGTH, PoseGraph
 from impslam.geometry.chain import advance
-from impslam.geometry.se2 import between, compose, inverse
+from impslam.geometry.se2 import between, compose, inverse, motion_lengths
 from impslam.graph.pose_graph import roots
 from impslam.map import Keyframes, Map
 from impslam.maps.layout import undriven
@@ -119,9 +119,7 @@ def _drop(keys: KeyframeLog, rows: Keyframes) -> None:
 
 def _nodes(rows: Keyframes, edges: Edges, spacing: float) -> Ints:
     """Return the keyframes that are nodes: those with edges, and others `spacing` m apart."""
-    steps = np.hypot(rows.motions[:, 0], rows.motions[:, 1]) + METRES_PER_RADIAN * np.abs(
-        rows.motions[:, 2]
-    )
+    steps = motion_lengths(rows.motions, DRIVEN_PER_RADIAN)
     chosen, since = _begins(rows.sessions), 0.0
     chosen[edges.i] = chosen[edges.j] = True
     for k, step in enumerate(steps.tolist()):
@@ -170,9 +168,7 @@ def _lengths(edges: Edges, distance: Array) -> Array:
     Motions of folded nodes connect their hosts, which are not consecutive. A closure without a position, as
     in a corridor, is at least as uncertain as the smallest window that is searched; see `places`.
     """
-    folded = np.hypot(edges.T_i_j[:, 0], edges.T_i_j[:, 1]) + METRES_PER_RADIAN * np.abs(
-        edges.T_i_j[:, 2]
-    )
+    folded = motion_lengths(edges.T_i_j, DRIVEN_PER_RADIAN)
     driven = np.where(
         edges.j == edges.i + 1, distance[edges.j] - distance[edges.i], folded + CLOSURE_LENGTH
     )

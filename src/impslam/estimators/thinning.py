@@ -23,7 +23,7 @@ from impslam.geometry.kernels import kernel
 from impslam.geometry.se2 import between
 from impslam.graph.bearings import Fans, nearest_feature, sort_by_bearing
 from impslam.graph.bundle import RefinementSettings, refine
-from impslam.graph.overlaps import METRES_PER_RADIAN
+from impslam.graph.overlaps import HIDDEN_PER_RADIAN
 from impslam.graph.pose_graph import Edges
 from impslam.recognition.free_ranges import Floats
 from impslam.recognition.verify import evidence_at
@@ -119,7 +119,7 @@ def _align(rows: Ints, near: Ints, keys: KeyframeLog, graph: PoseGraph) -> _Alig
     distance, turn, can_host = (
         column[np.ix_(chosen, seen)] for column in (distance, turn, can_host)
     )
-    best, m = np.where(can_host, distance + METRES_PER_RADIAN * turn, np.inf).argmin(1), len(rows)
+    best, m = np.where(can_host, distance + HIDDEN_PER_RADIAN * turn, np.inf).argmin(1), len(rows)
     scans = keys.scans(np.concatenate([rows, near]))
     poses, pairs = np.concatenate([at, around]), np.stack([best + m, np.arange(m)], 1)
     prior = np.broadcast_to(np.diag(1.0 / PRIOR_SIGMA**2), (m, 3, 3))

@@ -93,6 +93,12 @@ def log(pose: Array) -> Array:
     return _log(flat).reshape(shape)
 
 
+def motion_lengths(motions: Array, metres_per_radian: float) -> Array:
+    """Return the lengths (...) of motions (..., 3), m, where a turn of a radian counts as some metres."""
+    x, y, turn = motions[..., 0], motions[..., 1], motions[..., 2]
+    return np.asarray(np.hypot(x, y) + metres_per_radian * np.abs(turn))
+
+
 def _flat(poses: Array) -> tuple[Array, tuple[int, ...]]:
     """Return poses (..., 3) as rows (n, 3), and their shape."""
     if poses.shape == _SINGLE:

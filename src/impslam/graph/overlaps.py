@@ -39,7 +39,7 @@ class Nearness(NamedTuple):
     apart: float = 3.0
 
 
-METRES_PER_RADIAN = 0.7  # a turn of a radian hides about as much as this distance
+HIDDEN_PER_RADIAN = 0.7  # m: a turn of a radian hides about as much as this distance
 
 
 def overlaps(poses: Array, nearness: Nearness | None = None) -> Ints:
@@ -105,6 +105,6 @@ def _candidates(
             continue
         turn = abs(wrap_in_kernel(poses[i, 2] - poses[j, 2]))
         if turn <= nearness.turn:
-            near[found], cost[found] = i, distance + METRES_PER_RADIAN * turn
+            near[found], cost[found] = i, distance + HIDDEN_PER_RADIAN * turn
             found += 1
     return found

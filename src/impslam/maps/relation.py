@@ -17,7 +17,7 @@ import numpy as np
 
 from impslam.errors import ImpError
 from impslam.geometry.angles import wrap
-from impslam.geometry.se2 import between, compose
+from impslam.geometry.se2 import between, compose, motion_lengths
 from impslam.map import Keyframes, Map
 from impslam.recognition.consistency import Relation, consistent
 from impslam.recognition.correlative import spread_order
@@ -28,8 +28,8 @@ from impslam.types import Array, Ints
 LENGTH = 3.0
 """m, of a stretch: from 2 m on, no false match occurred in recorded buildings. Short drives have shorter
 stretches."""
-METRES_PER_RADIAN = 0.5
-"""A turn of a radian changes the view by about as much as this distance."""
+STRETCH_PER_RADIAN = 0.5
+"""m that a turn of a radian counts for in `LENGTH`: it shows as much that is new."""
 MAX_STRETCHES = 60
 """With more, a large map takes minutes."""
 MIN_AGREEING, ENOUGH = 3, 6
@@ -139,8 +139,9 @@ def _align_placed(first: Keyframes, second: Keyframes, progress: Progress) -> Ma
 def _stretches(poses: Array) -> list[Ints]:
     """Return the keyframe rows of disjoint stretches, in an order whose every prefix is spread evenly."""
     steps = np.diff(poses, axis=0)
-    lengths = np.hypot(steps[:, 0], steps[:, 1]) + METRES_PER_RADIAN * np.abs(wrap(steps[:, 2]))
-    distance = np.concatenate([[0.0], np.cumsum(lengths)])[: len(poses)]
+    steps[:, 2] = wrap(steps[:, 2])
+    driven = np.cumsum(motion_lengths(steps, STRETCH_PER_RADIAN))
+    distance = np.concatenate([[0.0], driven])[: len(poses)]
     total = float(distance[-1]) if len(distance) else 0.0
     length = min(LENGTH, total / ENOUGH)
     count = min(MAX_STRETCHES, math.floor(total / max(length, 1e-6))) if length > 0.0 else 0

@@ -39,6 +39,16 @@ def test_beams_that_are_named_by_degrees(tmp_path: Path, mark: str) -> None:
     np.testing.assert_array_equal(scan.ranges, [1.5, math.nan, math.inf])
 
 
+@pytest.mark.parametrize("mark", [",", ";", "\t"])
+def test_outer_cells_may_be_empty(tmp_path: Path, mark: str) -> None:
+    rows = ["-90,0,90,x,y,theta,t", ",2,3,1,2,0.5,1.0", "1,2,3,,,,2.0", "-90,,,1,2,0.5,3.0"]
+    turned = [mark.join(row.split(",")[::-1]) for row in rows]  # the last cells are empty, too
+    for lines in ([row.replace(",", mark) for row in rows], turned):
+        scans = [m for m in messages(tmp_path, *lines) if isinstance(m, LaserScan)]
+        assert [scan.stamp for scan in scans] == [1.0, 2.0, 3.0]
+        assert [int(np.isnan(scan.ranges).sum()) for scan in scans] == [1, 0, 2]
+
+
 @pytest.mark.parametrize(
     ("header", "kind"),
     [

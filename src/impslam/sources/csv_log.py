@@ -82,9 +82,9 @@ class CsvLog(TextSource):
 
     def __enter__(self) -> Self:
         super().__enter__()
-        first = head(self.path)[0].strip()
+        first = _trim(head(self.path)[0])
         cells = [
-            cell.decode("utf-8", "replace").strip(' "') for cell in first.split(_separator(first))
+            cell.decode("utf-8", "replace").strip(' \t"') for cell in first.split(_separator(first))
         ]
         cells[0] = cells[0].lstrip("#% \ufeff")
         self._has_header = sum(_is_cell(cell.encode()) for cell in cells) < len(cells) / 2
@@ -151,9 +151,9 @@ class CsvLog(TextSource):
         found, width, unit, mark = self._columns(), len(self._header), 0.0, b","
         used = sorted({k for cells in found.cells.values() for k in range(*cells[:2])})
         for number, line in self._lines(self.path):
-            text = line.strip()
+            text = _trim(line)
             mark = _separator(text) if number == 1 else mark
-            if not text or text[:1] == b"#" or (number == 1 and self._has_header):
+            if not text.strip() or text[:1] == b"#" or (number == 1 and self._has_header):
                 continue
             try:
                 values = _numbers(text.split(mark), used, width)
@@ -188,7 +188,7 @@ class CsvLog(TextSource):
 
 def _first_widths(path: Path) -> tuple[int, int] | None:
     """Return the numbers of cells of the first two lines, or None if the second has too few numbers."""
-    lines = [line.strip() for line in head(path)[:50]]
+    lines = [_trim(line) for line in head(path)[:50]]
     lines = [lines[0], *(line for line in lines[1:] if line[:1] != b"#")] if lines else []
     if len(lines) < 2 or b"{" in lines[0]:  # JSON has commas, too
         return None
@@ -227,6 +227,11 @@ def _numbers(cells: list[bytes], used: list[int], width: int) -> Array:
 
 def _value(values: Array, cells: CsvCells) -> float:
     return cells.factor * float(values[cells.first])
+
+
+def _trim(line: bytes) -> bytes:
+    """Return a line without spaces around it and its end; tabs stay, since they may separate cells."""
+    return line.strip(b" \r\n")
 
 
 def _separator(line: bytes) -> bytes:

@@ -49,6 +49,33 @@ def test_outer_cells_may_be_empty(tmp_path: Path, mark: str) -> None:
         assert [int(np.isnan(scan.ranges).sum()) for scan in scans] == [1, 0, 2]
 
 
+HEADER, ROW = "t,x,y,theta,-90,0,90", "1.0,1,2,0.5,4,5,6"
+
+
+@pytest.mark.parametrize(
+    "opening",
+    [
+        ["# recorded by my logger", HEADER],
+        ["\ufeff# lidar: A1, 8 m, at 10 Hz", "", "# floor 2", HEADER],
+        ["# floor 2", f"# {HEADER}", "# s,m,m,rad,m,m,m"],
+        [f"#{HEADER}", "# in m and rad, of floor 2"],
+        [HEADER, "# in m and rad, of floor 2"],
+    ],
+)
+def test_comments_before_the_first_row(tmp_path: Path, opening: list[str]) -> None:
+    found, source = read(log(tmp_path, *opening, ROW, "# pause", ROW.replace("1.0", "2.0")))
+    assert not source.problems.counts
+    assert [type(m) for m in found] == 2 * [OdometryPose, LaserScan]
+    np.testing.assert_allclose(found[1].angles, [-math.pi / 2, 0.0, math.pi / 2])
+
+
+def test_comments_before_rows_without_a_header(tmp_path: Path) -> None:
+    columns = {"stamp": "1", "x": "2", "y": "3", "theta": "4", "ranges": "5:7"}
+    lines = ["# recorded by my logger", ROW, ROW]
+    found = messages(tmp_path, *lines, columns=columns, angle_min=-0.5, angle_step=0.5)
+    assert [type(m) for m in found] == 2 * [OdometryPose, LaserScan]
+
+
 @pytest.mark.parametrize(
     ("header", "kind"),
     [

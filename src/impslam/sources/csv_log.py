@@ -1,7 +1,7 @@
 """CSV files whose rows contain odometry, a scan, or both; the columns are recognised by name.
 
 The odometry cells or all ranges of a row may be empty; a single empty range is a beam without return.
-Lines that start with # are comments, except the header.
+Lines that start with # are comments, except a header with as many cells as the first row.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import ClassVar, Self
+from typing import ClassVar, NamedTuple, Self
 
 import numpy as np
 from pydantic import PrivateAttr
@@ -32,6 +32,8 @@ from impslam.types import (
 )
 
 SEPARATORS = (b",", b";", b"\t")
+BOM = b"\xef\xbb\xbf"
+MAX_OPENING = 50  # lines in which the header and two rows are looked for, more than any preamble
 MIN_COLUMNS = 4  # a stamp and three ranges
 EPOCHS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))
 """Stamps above which the unit is ns, us or ms since 1970; in s, 1e11 would be the year 5138."""
@@ -60,6 +62,8 @@ class CsvLog(TextSource):
     )
 
     _has_header: bool = PrivateAttr(default=True)
+    _mark: bytes = PrivateAttr(default=b",")
+    _begin: int = PrivateAttr(default=0)  # number of the first line that may be a row
     _header: list[str] = PrivateAttr(default_factory=list)
     _layout: CsvLayout | None = PrivateAttr(default=None)
 
@@ -82,13 +86,10 @@ class CsvLog(TextSource):
 
     def __enter__(self) -> Self:
         super().__enter__()
-        first = _trim(head(self.path)[0])
-        cells = [
-            cell.decode("utf-8", "replace").strip(' \t"') for cell in first.split(_separator(first))
-        ]
-        cells[0] = cells[0].lstrip("#% \ufeff")
-        self._has_header = sum(_is_cell(cell.encode()) for cell in cells) < len(cells) / 2
-        self._has_header |= not _is_cell(cells[0].encode())
+        opening = _opening(self.path)
+        cells = _names(opening.first)
+        self._mark, self._has_header = opening.mark, not _is_row(cells)
+        self._begin = opening.number + self._has_header
         self._header = cells if self._has_header else [str(k + 1) for k in range(len(cells))]
         return self
 
@@ -148,15 +149,14 @@ class CsvLog(TextSource):
 
     def _messages(self) -> Iterator[LocatedMessage]:
         """Yield the odometry of a row before its scan."""
-        found, width, unit, mark = self._columns(), len(self._header), 0.0, b","
+        found, width, unit = self._columns(), len(self._header), 0.0
         used = sorted({k for cells in found.cells.values() for k in range(*cells[:2])})
         for number, line in self._lines(self.path):
             text = _trim(line)
-            mark = _separator(text) if number == 1 else mark
-            if not text.strip() or text[:1] == b"#" or (number == 1 and self._has_header):
+            if number < self._begin or not text.strip() or text[:1] == b"#":
                 continue
             try:
-                values = _numbers(text.split(mark), used, width)
+                values = _numbers(text.split(self._mark), used, width)
                 stamp = _value(values, found.cells["stamp"])
                 check_finite("the stamp", stamp)
                 unit = unit or next((factor for low, factor in EPOCHS if abs(stamp) > low), 1.0)
@@ -186,13 +186,50 @@ class CsvLog(TextSource):
             yield Velocity(stamp, *cells)
 
 
+class _Opening(NamedTuple):
+    """The cells of the header, or of the first row; those of the row after it; and where they are.
+
+    `number` is the number of the line of the header, or of the first row; `mark` separates cells.
+    """
+
+    first: list[bytes]
+    second: list[bytes]
+    number: int
+    mark: bytes
+
+
+def _opening(path: Path) -> _Opening:
+    """Return the first lines of a file; a missing one has no cells."""
+    lines = [_trim(line) for line in head(path)[:MAX_OPENING]]
+    found = [k for k, line in enumerate(lines) if line.strip() and line[:1] != b"#"]
+    if not found:
+        return _Opening([], [], 1, b",")
+    mark = _separator(lines[found[0]])
+    cells = [line.split(mark) for line in lines]
+    if _is_row(_names(cells[found[0]])):  # the header may be one of the comments
+        width = len(cells[found[0]])
+        found = [*[k for k in range(found[0]) if len(cells[k]) == width][:1], *found]
+    second = cells[found[1]] if len(found) > 1 else []
+    return _Opening(cells[found[0]], second, found[0] + 1, mark)
+
+
+def _names(cells: list[bytes]) -> list[str]:
+    """Return the cells of a header without quotes, and without the sign of a comment."""
+    names = [cell.decode("utf-8", "replace").strip(' \t"') for cell in cells]
+    return [names[0].lstrip("#% "), *names[1:]] if names else []
+
+
+def _is_row(names: list[str]) -> bool:
+    """Return whether cells are a row rather than a header, which may name beams by numbers."""
+    numbers = [_is_cell(name.encode()) for name in names]
+    return numbers[:1] == [True] and sum(numbers) >= len(names) / 2
+
+
 def _first_widths(path: Path) -> tuple[int, int] | None:
     """Return the numbers of cells of the first two lines, or None if the second has too few numbers."""
-    lines = [_trim(line) for line in head(path)[:50]]
-    lines = [lines[0], *(line for line in lines[1:] if line[:1] != b"#")] if lines else []
-    if len(lines) < 2 or b"{" in lines[0]:  # JSON has commas, too
+    first, second, *_ = _opening(path)
+    if any(b"{" in cell for cell in first):  # JSON has commas, too
         return None
-    first, second = (line.split(_separator(lines[0])) for line in lines[:2])
     return (len(first), len(second)) if sum(map(_is_cell, second)) >= MIN_COLUMNS else None
 
 
@@ -230,8 +267,8 @@ def _value(values: Array, cells: CsvCells) -> float:
 
 
 def _trim(line: bytes) -> bytes:
-    """Return a line without spaces around it and its end; tabs stay, since they may separate cells."""
-    return line.strip(b" \r\n")
+    """Return a line without its end and outer spaces, but with tabs, which may separate cells."""
+    return line.removeprefix(BOM).strip(b" \r\n")
 
 
 def _separator(line: bytes) -> bytes:

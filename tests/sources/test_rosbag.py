@@ -197,6 +197,42 @@ def test_a_bag_that_cannot_be_opened_is_an_error_with_advice(tmp_path: Path) -> 
         next(RosBag(path=path).batches())
 
 
+def without_profile(path: Path) -> Path:
+    """Remove the profile from an MCAP file, as general MCAP libraries write it."""
+    whole = path.read_bytes()
+    size = int.from_bytes(whole[9:17], "little") - len("ros2")
+    assert whole[17:25] == b"\4\0\0\0ros2"
+    path.write_bytes(whole[:9] + size.to_bytes(8, "little") + bytes(4) + whole[25:])
+    return path
+
+
+def test_an_mcap_file_without_a_profile_is_read(tmp_path: Path) -> None:
+    whole, _ = read(write_mcap(tmp_path / "a.mcap"))
+    path = without_profile(tmp_path / "a.mcap")
+    found, source = read(path)
+    for one, other in zip(found, whole, strict=True):
+        assert_same(one, other)
+    assert not source.problems.counts
+    path.write_bytes(path.read_bytes()[:-20])
+    found, source = read(path)
+    for one, other in zip(found, whole, strict=True):
+        assert_same(one, other)
+    assert source.problems.counts == {"cut file": 1}
+
+
+def test_an_mcap_file_of_other_messages_is_refused_with_the_reason(tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "a.mcap")
+    whole = path.read_bytes()
+    path.write_bytes(whole.replace(b"ros2", b"ros1", 1))
+    with pytest.raises(SourceError, match=r"not of ROS 2 \(its profile is ros1\); give the ROS 1"):
+        RosBag(path=path).__enter__()
+    folder = bag(tmp_path / "mcap", ("/scan", scan(ROS2)))
+    file = without_profile(next(folder.glob("*.mcap")))
+    file.write_bytes(file.read_bytes().replace(b"ros2msg", b"jsonsch"))
+    with pytest.raises(SourceError, match="sensor_msgs/msg/LaserScan is defined in jsonsch"):
+        RosBag(path=file).__enter__()
+
+
 def test_progress_runs_to_the_total(tmp_path: Path) -> None:
     path = write_mcap(tmp_path / "a.mcap")
     with recognise(path)(path=path) as source:

@@ -1,4 +1,4 @@
-"""The MCAP reader of rosbags with size limits, and with support for truncated files."""
+"""The MCAP reader of rosbags with size limits, for truncated files and those without a profile, too."""
 
 from __future__ import annotations
 
@@ -6,10 +6,21 @@ from io import BufferedReader
 from typing import Any, cast
 
 from rosbags.rosbag2.errors import ReaderError
-from rosbags.rosbag2.storage_mcap import DECOMPRESSORS, Channel, McapReader, Schema
+from rosbags.rosbag2.storage_mcap import DECOMPRESSORS, Channel, McapReader, Schema, read_string
 
 from impslam.sources.mcap_records import end_of_complete_records, end_of_valid_records
 from impslam.sources.unpack import UNIT_LIMIT, check_size, check_together, unpack_lz4, unpack_zstd
+
+_ENCODINGS = {"ros2msg", "ros2idl", "omgidl", ""}
+"""Languages of the definitions of ROS 2 messages."""
+_MAGIC = b"\x89MCAP0\r\n"
+_PROFILE = 17
+"""Offset of the profile: behind the magic, an opcode and the length of its record."""
+
+
+class ForeignError(ReaderError):
+    """An MCAP file contains other messages than those of ROS 2."""
+
 
 # rosbags unpacks a chunk without a limit and checks its size only afterwards.
 DECOMPRESSORS.update(
@@ -38,7 +49,15 @@ class Definitions(dict[int, Any]):
     _size = 0
 
     def __setitem__(self, key: int, value: Schema | Channel) -> None:
-        """Set a definition; recorders repeat them in each chunk."""
+        """Set a definition; recorders repeat them in each chunk.
+
+        Raises
+        ------
+        ForeignError
+            If it is not a definition of ROS 2.
+        """
+        if isinstance(value, Schema) and value.encoding not in _ENCODINGS:
+            raise ForeignError(f"{value.name} is defined in {value.encoding}")
         self._size += _length(value) - (_length(self[key]) if key in self else 0)
         check_size("a list of topics", self._size)
         super().__setitem__(key, value)
@@ -56,7 +75,8 @@ def _length(value: Schema | Channel) -> int:
 class CutMcapReader(McapReader):
     """An MCAP file that may be truncated, e.g. after a robot's power loss.
 
-    A truncated file is scanned and read up to the last complete record; rosbags alone rejects it.
+    A truncated file is scanned and read up to the last complete record; rosbags alone rejects it. It also
+    rejects files without a profile, as general MCAP libraries write them: they are scanned, too.
     """
 
     is_cut = False
@@ -68,7 +88,9 @@ class CutMcapReader(McapReader):
             super()._open()
         except ReaderError as error:
             if "end magic" not in str(error):
-                raise
+                self._accept_no_profile(error)
+            self.bio.seek(-len(_MAGIC), 2)
+            self.is_cut = self.bio.read() != _MAGIC
             self._scan()
         spans = [
             (chunk.message_start_time, chunk.message_end_time, chunk.uncompressed_size)
@@ -76,11 +98,23 @@ class CutMcapReader(McapReader):
         ]
         check_together(spans)
 
+    def _accept_no_profile(self, error: ReaderError) -> None:
+        """Prepare to scan the file if its only defect is that it names no profile."""
+        assert self.bio is not None
+        if "Profile" not in str(error):
+            raise error
+        self.data_start = self.bio.tell()
+        self.bio.seek(_PROFILE)
+        if profile := read_string(self.bio):
+            raise ForeignError(f"its profile is {profile}") from None
+
     def _scan(self) -> None:
         assert self.bio is not None
         self.data_end = end_of_complete_records(self.bio, self.data_start)
         try:
             self.meta_scan()
+        except ForeignError:
+            raise
         except Exception:  # rosbags may raise anything: data after the last sync are arbitrary
             self.data_end = end_of_valid_records(self.bio, self.data_start, self.data_end)
             for found in (self.schemas, self.channels, self.connections):
@@ -88,4 +122,3 @@ class CutMcapReader(McapReader):
             self.meta_scan()
         counts = self.statistics.channel_message_counts if self.statistics else {}
         self.connections = [c._replace(msgcount=counts.get(c.id, 0)) for c in self.connections]
-        self.is_cut = True

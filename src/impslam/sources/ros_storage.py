@@ -12,7 +12,7 @@ from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
 from impslam.errors import SourceError
-from impslam.sources.mcap_reader import CutMcapReader
+from impslam.sources.mcap_reader import CutMcapReader, ForeignError
 from impslam.sources.ros1_files import BoundedReader1
 from impslam.sources.ros_files import BagFolder, PlainSqlite3Reader, UnlistedFolder
 from impslam.sources.unpack import LimitError
@@ -79,6 +79,11 @@ class Bag:
             self._storage.open()
         except LimitError as error:
             raise _too_large(path, error) from None
+        except ForeignError as error:
+            raise SourceError(
+                f"{path}: is an MCAP file, but not of ROS 2 ({one_line(error)}); give the ROS 1 bag that "
+                "it was made of, or write its scans and odometry as messages of ROS 2 or as CSV"
+            ) from None
         except Exception as error:  # rosbags may raise anything on a damaged index
             raise SourceError(f"{path}: cannot be opened ({one_line(error)}); {_REPAIR}") from None
         self._path, self.is_ros1 = path, make is BoundedReader1

@@ -94,10 +94,13 @@ def choices(config: Config, source: Source) -> str:
 
 
 def _describe_other(stream: str, mount: Mount, lasers: Sequence[tuple[str, str, Mount]]) -> str:
-    """Describe what a stream of scans is that is not read; scans of one frame are from one laser."""
+    """Describe what a stream of scans is that is not read; one frame is one laser, one base one robot."""
     same = [read for _, read, own in lasers if own.origin == mount.origin]
     if same:
         return f"is from the same laser as {same[0]}; --topic scan={stream} reads it instead"
+    bases = {own.base for _, _, own in lasers if own.pose is not None}
+    if bases and mount.base not in bases:  # no transform links it to the robot
+        return f"is the lidar of another robot, which --topic scan={stream} maps instead"
     return (
         "is another lidar, added by --set sensors.NAME.kind=lidar2d --set "
         f"sensors.NAME.stream={stream}"

@@ -251,6 +251,8 @@ def test_scans_and_odometry_are_of_the_same_robot(tmp_path, in_tf):
     line = choices(config, source)
     assert "scan /two/scan (mount [0.100 m, 0.050 m" in line
     assert "/tf_static: two/base_footprint -> two/laser" in line
+    assert "is the lidar of another robot, which --topic scan=/one/scan maps instead" in line
+    assert "another lidar" not in line
     with source:
         notes = [s.note for s in source.streams() if s.note.startswith("odometry")]
         used = source.defaults()[OdometryPose]

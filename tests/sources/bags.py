@@ -29,7 +29,8 @@ def joints(store: Any, names: list[str], position: list[float], stamp: float = 1
 def scan(store: Any, stamp: float = 1.5, start: float = -1.0, n: int = 3, high: float = 8.0) -> Any:
     cls = store.types["sensor_msgs/msg/LaserScan"]
     ranges, none = np.arange(n, dtype=np.float32), np.empty(0, np.float32)
-    return cls(header(store, stamp), start, 0.0, 0.5, 0.25, 0.1, 0.0, high, ranges, none)
+    step = min(0.5, 6.0 / max(n, 1))  # at most a turn
+    return cls(header(store, stamp), start, 0.0, step, 0.25, 0.1, 0.0, high, ranges, none)
 
 
 def odometry(store: Any, turn: tuple[float, ...] = (0, 0, 0, 2), x: float = 1.0) -> Any:

@@ -224,6 +224,11 @@ def test_bad_rows_are_counted_and_dropped(tmp_path: Path) -> None:
             {},
             "directions of the beams are unknown: give --set source.angle_min",
         ),
+        (
+            "stamp,a,r0,r1,r2,r3",
+            {"angle_min": 0.0, "angle_step": 90.0},
+            "57 turns; write the angles of beams in rad",
+        ),
         ("stamp,a,0,1,2,3", {"columns": {"x": "ab"}}, "no column 'ab'; did you mean 'a'"),
         ("stamp,a,0,1,2,3", {"columns": {"ranges": "0"}}, "expected ranges=FIRST:LAST"),
         ("stamp,a,0,1,2,3", {"columns": {"ranges": "2:0"}}, "0 is before 2"),

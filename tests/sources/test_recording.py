@@ -94,7 +94,7 @@ def test_memory_stays_flat_in_writing_and_reading(tmp_path: Path, rng: np.random
 
 def _peaks(path: Path, n: int, ranges: np.ndarray) -> list[int]:
     peaks = []
-    angles, times = np.arange(len(ranges)) * 0.5, np.zeros(len(ranges))
+    angles, times = 2.0**-10 * np.arange(len(ranges)), np.zeros(len(ranges))
     tracemalloc.start()
     with McapWriter(path) as writer:
         for i in range(n):

@@ -13,10 +13,10 @@ from tests.sources.logs import assert_same, messages, read, write_mcap
 from impslam import columns
 from impslam.errors import SourceError
 from impslam.sources import ros_rows
-from impslam.sources.base import recognise
+from impslam.sources.base import Source, recognise
 from impslam.sources.recording import McapWriter
 from impslam.sources.rosbag import RosBag
-from impslam.types import Event, Image, LaserScan, OdometryPose, TruePose, WheelAngles
+from impslam.types import Event, Image, LaserScan, Message, OdometryPose, TruePose, WheelAngles
 
 
 @pytest.mark.parametrize("kind", ["ros1", "sqlite folder", "mcap folder", "sqlite", "mcap"])
@@ -162,7 +162,7 @@ def test_a_bag_without_definitions_uses_the_standard_types(tmp_path: Path) -> No
 
 def test_a_file_truncated_by_power_loss_is_read_to_its_end(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
-    angles, times, ranges = np.arange(5000.0), np.zeros(5000), np.zeros(5000)
+    angles, times, ranges = 2.0**-10 * np.arange(5000.0), np.zeros(5000), np.zeros(5000)
     with McapWriter(path) as writer:
         for i in range(300):
             writer.write(LaserScan(float(i), angles, ranges, times))
@@ -231,6 +231,31 @@ def test_an_mcap_file_of_other_messages_is_refused_with_the_reason(tmp_path: Pat
     file.write_bytes(file.read_bytes().replace(b"ros2msg", b"jsonsch"))
     with pytest.raises(SourceError, match="sensor_msgs/msg/LaserScan is defined in jsonsch"):
         RosBag(path=file).__enter__()
+
+
+@pytest.mark.parametrize("count", [2, 12])
+def test_an_increment_of_0_is_computed_and_impossible_angles_are_refused(
+    tmp_path: Path, count: int
+) -> None:
+    def log(name: str, step: float, end: float) -> tuple[list[Message], Source]:
+        scans = [scan(ROS2, 1.5 + k) for k in range(count)]
+        for one in scans:
+            one.angle_increment, one.angle_max = step, end
+        return read(bag(tmp_path / name, *(("/scan", one) for one in scans)))
+
+    found, source = log("zero", 0.0, 1.0)
+    assert len(found) == count
+    for one in found:
+        np.testing.assert_array_equal(one.angles, [-1.0, 0.0, 1.0])  # type: ignore[attr-defined]
+    assert source.problems.counts == {"no angle increment": count}
+    for name, step, end, said in (
+        ("no limits", 0.0, -1.0, "the angle between its 3 beams is 0"),
+        ("degrees", 120.0, 239.0, "57 turns; write the angles of beams in rad, not in degrees"),
+    ):
+        found, source = log(name, step, end)
+        assert not found
+        assert source.problems.counts == {"malformed scan message": count}
+        assert said in source.problems.examples["malformed scan message"]
 
 
 def test_progress_runs_to_the_total(tmp_path: Path) -> None:

@@ -180,7 +180,9 @@ def show_facts(facts: Mapping[str, str]) -> None:
         echo(f"{name:<{width}}  {value}")
 
 
-HARMLESS = frozenset({"gap", "backward stamp", "repeated stamp", "odometry off"})
+HARMLESS = frozenset(
+    {"gap", "backward stamp", "repeated stamp", "odometry off", "no angle increment"}
+)
 """Kinds of problems with a log that do not harm a run."""
 
 

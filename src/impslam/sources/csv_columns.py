@@ -11,6 +11,7 @@ import numpy as np
 
 from impslam.component import near_miss
 from impslam.errors import MessageError
+from impslam.sources.text import beam_angles
 from impslam.types import Array
 
 Role: TypeAlias = Literal[
@@ -215,7 +216,7 @@ def _angles(
 ) -> Array | None:
     beams = cells["ranges"]
     if math.isfinite(start) and math.isfinite(step):
-        return start + step * np.arange(beams.last - beams.first, dtype=np.float64)
+        return beam_angles(beams.last - beams.first, start, step)
     degrees = [_number(name) for name in header[beams.first : beams.last]]
     if None not in degrees:
         return np.radians(np.array(degrees, np.float64))

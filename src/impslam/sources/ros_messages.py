@@ -58,8 +58,16 @@ def _first_echoes(beams: Sequence[RosMessage]) -> Array:
     return np.array([beam.echoes[0] if len(beam.echoes) else math.inf for beam in beams])
 
 
+def angle_step(message: RosMessage) -> float:
+    """Return the angle from beam to beam, rad; of drivers that leave it at 0, from the outermost beams."""
+    step, gaps = float(message.angle_increment), len(message.ranges) - 1
+    if step or gaps < 1:
+        return step
+    return (float(message.angle_max) - float(message.angle_min)) / gaps
+
+
 def _scan(message: RosMessage, stamp: float, ranges: Any, intensities: Any) -> LaserScan:
-    start, step = float(message.angle_min), float(message.angle_increment)
+    start, step = float(message.angle_min), angle_step(message)
     n, wait = len(ranges), float(message.time_increment)
     check_finite("angle_min, angle_increment or time_increment", start, step, wait)
     if n == 0:

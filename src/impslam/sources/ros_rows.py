@@ -115,8 +115,8 @@ class RowReader:
             values, good, nanoseconds = self._columns(rows, self._bag.decoder(connection), group[0])
             good &= rows.alike & (nanoseconds != 0)
             k = int(good.argmax())
-            message = self._read(group[k])
-            if not good[k] or message is None:
+            message = self._read(group[k]) if good[k] else None
+            if message is None:
                 return None
             first = single(LocatedMessage(message, 0, connection.topic), 0).columns
             places = np.array([record.place for record in group])[good]
@@ -166,7 +166,14 @@ class RowReader:
         use = self._uses[topic]
         if use == "wheels":
             return self._wheels(topic, message, stamp)
-        return READERS[use](message, stamp)
+        found = READERS[use](message, stamp)
+        if use == "scan" and ros.angle_step(message) != message.angle_increment:
+            self._problems.add(
+                "no angle increment",
+                f"{self._path}: {topic}: the angle from beam to beam is 0; it is computed from angle_min "
+                "and angle_max",
+            )
+        return found
 
     def _stamp(self, topic: str, message: RosMessage, log_time: int) -> int:
         """Return the stamp of a message in ns, or its log time if it has none."""

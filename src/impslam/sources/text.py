@@ -23,6 +23,7 @@ from impslam.types import Array
 LINE_LIMIT = 1 << 20  # bytes, ten times the longest line of any lidar here; bounds memory
 BLOCK = 1 << 18  # bytes read at once: a hundred scans
 BEAMS_LIMIT = 100_000  # beams of a scan, ten times those of any 2D lidar
+TURNS_LIMIT = 2.0  # turns of a scan; angles in degrees make 57 of each
 WORDS_LIMIT = 100  # first words that are counted separately; formats have some ten
 _HEAD = 1 << 16  # bytes read to recognise a format
 DAMAGE = (OSError, EOFError, zlib.error)
@@ -82,10 +83,17 @@ def beam_angles(n: int, start: float, step: float) -> Array:
     Raises
     ------
     MessageError
-        If there are more than `BEAMS_LIMIT`.
+        If there are more than `BEAMS_LIMIT`, or their angles are impossible.
     """
     if n > BEAMS_LIMIT:
         raise MessageError(f"a scan of {n} beams; no lidar has more than {BEAMS_LIMIT}")
+    if n > 1 and step == 0.0:
+        raise MessageError(f"the angle between its {n} beams is 0; write it in rad")
+    if (turns := n * abs(step) / math.tau) > TURNS_LIMIT:
+        raise MessageError(
+            f"{n} beams {step:g} rad apart are {turns:.0f} turns; write the angles of beams in rad, not "
+            "in degrees"
+        )
     return _shared(start + step * np.arange(n, dtype=np.float64))
 
 

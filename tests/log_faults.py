@@ -50,6 +50,14 @@ def scaled_ranges(scale: float) -> Change:
     return of(LaserScan, lambda c: with_values(c, ranges=scale * c["ranges"]))
 
 
+def millimetres(limit: float) -> Change:
+    """Give ranges in mm, with a limit in the messages."""
+    return of(
+        LaserScan,
+        lambda c: with_layout(with_values(c, ranges=1000.0 * c["ranges"]), range_max=limit),
+    )
+
+
 def no_return(value: float) -> Change:
     """Give a value to a tenth of the beams, and to those that have none."""
 

@@ -48,6 +48,7 @@ CASES = {
     "astern": (faults.turned(3.14159), (), "laser turned"),
     "ranges 10 % short": (faults.scaled_ranges(0.9), (), "ranges scale"),
     "ranges 10 % long": (faults.scaled_ranges(1.1), (), "ranges scale"),
+    "ranges in mm": (faults.millimetres(5600.0), (), "ranges in mm"),
     "late": (faults.late(0.2), (), "stamps late"),
     "sweep reversed": (faults.reversed_sweep(), (), "sweep reversed"),
     "sweep not reversed": (
@@ -114,6 +115,13 @@ def test_fault_is_found_and_its_settings_fix_it(drive, name: str) -> None:
     assert list(problems) == [kind]
     assert problems[kind].sure > 0.99 or problems[kind].advice
     assert harm(wrong, *settings, *problems[kind].fix) == {}
+
+
+def test_ranges_in_mm_beyond_a_limit_in_m_are_the_drivers_fault(drive) -> None:
+    (only,) = found(list(faults.faulty(drive, faults.millimetres(4.0))))
+    assert only.kind == "ranges in mm"
+    assert not only.fix
+    assert only.advice.startswith("write ranges in m like range_max")
 
 
 def test_a_lost_scan_is_no_long_sweep(drive) -> None:

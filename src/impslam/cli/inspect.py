@@ -112,20 +112,31 @@ def _facts_of_lidars(survey: Survey) -> dict[str, str]:
 
 
 def _scan_facts(beams: ScanGeometry) -> dict[str, str]:
-    low, high = beams.limits
     counts = sorted(beams.counts)
     several = f" to {counts[-1]}" if len(counts) > 1 else ""
     turns = f", {len(beams.starts)} start angles" if len(beams.starts) > 1 else ""
     sweep = f"{1000 * beams.sweep:.0f} ms" if beams.sweep else "not in the log; assumed to be 0"
-    limits = f"{_number(low, 2)} to {_number(high, 2)} m, from the messages"
     return {
         "beams": f"{counts[0]}{several}",
         "field of view": f"{math.degrees(beams.field_of_view):.1f} deg{turns}",
         "sweep": sweep,
-        "range limits": "not in the log" if math.isnan(low) and math.isnan(high) else limits,
-        "valid ranges": f"{_number(beams.nearest, 2)} to {beams.farthest:.2f} m",
+        "range limits": _range_limits(beams),
+        "valid ranges": f"{beams.nearest:.2f} to {beams.farthest:.2f} m"
+        if beams.farthest
+        else "none",
         "invalid beams": f"{100 * beams.share_invalid:.1f} %",
     }
+
+
+def _range_limits(beams: ScanGeometry) -> str:
+    """Return the limits that decide which beams are valid: the narrower of messages and config."""
+    ends = []
+    for narrower, in_messages, given in zip((max, min), beams.limits, beams.given, strict=True):
+        known = [value for value in (in_messages, given) if not math.isnan(value)]
+        end = narrower(known, default=math.nan)
+        origin = "messages" if end == in_messages else "config"
+        ends.append(f"{end:.2f} m ({origin})" if known else "none")
+    return " to ".join(ends)
 
 
 def _motion_facts(survey: Survey, config: Config) -> dict[str, str]:

@@ -53,12 +53,16 @@ class StampStatistics:
 
 @dataclass(slots=True)
 class ScanGeometry:
-    """The geometry of the scans; `poor` ones have few valid beams, `blind` ones none."""
+    """The geometry of the scans; `poor` ones have few valid beams, `blind` ones none.
+
+    `limits` and `given` are the limits of the ranges in the messages and in the config, NaN if unset.
+    """
 
     counts: dict[int, int] = field(default_factory=dict)
     starts: set[float] = field(default_factory=set)
     field_of_view: float = 0.0
     limits: tuple[float, float] = (math.nan, math.nan)
+    given: tuple[float, float] = (math.nan, math.nan)
     nearest: float = math.inf
     farthest: float = 0.0
     sweeps: list[float] = field(default_factory=list)
@@ -82,6 +86,7 @@ class ScanGeometry:
             valid = np.isfinite(scan.ranges) & (scan.ranges > 0.0)
         if lidar is not None:
             valid = lidar.scan(scan, np.zeros(3)).valid
+            self.given = lidar.range_min, lidar.range_max
         count = int(valid.sum())
         self.total, self.invalid = self.total + n, self.invalid + n - count
         self.scans, self.poor = self.scans + 1, self.poor + (0 < count < MIN_BEAMS)

@@ -20,6 +20,7 @@ from impslam.diagnosis.odometry import check_odometry
 from impslam.diagnosis.presets import check_preset
 from impslam.diagnosis.scales import check_scales
 from impslam.diagnosis.stamps import check_overlap, check_stamps
+from impslam.diagnosis.unit import check_unit
 from impslam.diagnosis.wheels import check_wrap
 from impslam.health import Standing
 from impslam.sources.base import Source
@@ -35,7 +36,8 @@ FIRST_SCANS = 600
 MIN_SCANS = 50
 """Fewer scans do not contain enough motion, and matching them takes longer than such a run."""
 
-LIDAR_ROOTS, ODOMETRY_ROOTS = (check_noise, check_overlap), (check_wrap, check_preset)
+LIDAR_ROOTS = (check_unit, check_noise, check_overlap)
+ODOMETRY_ROOTS = (check_wrap, check_preset)
 """The faults of a lidar, and of odometry, that these find would cause findings of the other checks."""
 CHECKS = (
     check_handedness, check_direction, check_stamps, check_odometry, check_scales, check_mount,

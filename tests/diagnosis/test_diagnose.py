@@ -1,6 +1,7 @@
 """Diagnosis of a drive through the arena with one fault: it finds only that, and its settings fix it."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from impslam.diagnosis.finding import worst_health
 from impslam.health import MISALIGNED, MISSCALED, MISTIMED, OPPOSED, SOUND
 from impslam.simulation.simulate import simulate
 from impslam.simulation.world import load_world
-from impslam.types import LaserScan, Stamped, WheelAngles
+from impslam.types import LaserScan, OdometryPose, Stamped, TruePose, WheelAngles
 
 
 @pytest.fixture(scope="module")
@@ -122,6 +123,36 @@ def test_ranges_in_mm_beyond_a_limit_in_m_are_the_drivers_fault(drive) -> None:
     assert only.kind == "ranges in mm"
     assert not only.fix
     assert only.advice.startswith("write ranges in m like range_max")
+
+
+@pytest.mark.parametrize(
+    ("scale", "kind", "remedy"),
+    [
+        ((1000.0, 1000.0, 1.0), "poses in mm", "--set odometry.distance_scale=0.001"),
+        ((1.0, 1.0, 57.29578), "poses in degrees", "--columns theta=NAME*0.0174533"),
+        ((1.0, 1.0, 1.0), None, ""),
+    ],
+)
+def test_units_of_poses(drive, scale, kind, remedy) -> None:
+    """Truth as odometry, in another unit; its headings are not wrapped, as in many CSV logs."""
+    true = [c for batch in drive for c in batch.values() if c.kind is TruePose]
+    stamps = np.concatenate([c.stamps for c in true])
+    headings = np.unwrap(np.concatenate([c["pose"][:, 2] for c in true])) + 9.0
+
+    def change(c: Columns) -> Columns:
+        heading = headings[np.searchsorted(stamps, c.stamps)]
+        pose = np.array(scale) * np.column_stack((c["pose"][:, :2], heading))
+        return replace(faults.with_values(c, pose=pose), kind=OdometryPose)
+
+    wrong = list(faults.faulty(drive, faults.of(TruePose, change)))
+    problems = [one for one in diagnose(load("default"), wrong, {}) if one.harmful]
+    assert [one.kind for one in problems] == ([kind] if kind else [])
+    assert all(remedy in str(one) for one in problems)
+
+
+def test_stamps_in_ms_are_noted(drive) -> None:
+    wrong = list(faults.faulty(drive, lambda c: faults.with_values(c, stamp=1000.0 * c.stamps)))
+    assert "stamps in ms" in [one.kind for one in found(wrong)]
 
 
 def test_a_lost_scan_is_no_long_sweep(drive) -> None:

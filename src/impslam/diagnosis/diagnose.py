@@ -17,6 +17,7 @@ from impslam.diagnosis.head import Head
 from impslam.diagnosis.mount import check_mount
 from impslam.diagnosis.no_return import check_noise, check_value
 from impslam.diagnosis.odometry import check_odometry
+from impslam.diagnosis.pose_units import check_pose_units
 from impslam.diagnosis.presets import check_preset
 from impslam.diagnosis.scales import check_scales
 from impslam.diagnosis.stamps import check_overlap, check_stamps
@@ -37,7 +38,7 @@ MIN_SCANS = 50
 """Fewer scans do not contain enough motion, and matching them takes longer than such a run."""
 
 LIDAR_ROOTS = (check_unit, check_noise, check_overlap)
-ODOMETRY_ROOTS = (check_wrap, check_preset)
+ODOMETRY_ROOTS = (check_wrap, check_pose_units, check_preset)
 """The faults of a lidar, and of odometry, that these find would cause findings of the other checks."""
 CHECKS = (
     check_handedness, check_direction, check_stamps, check_odometry, check_scales, check_mount,

@@ -1,0 +1,75 @@
+"""Find poses of odometry in mm or degrees, and stamps in ms, by what no wheeled robot does."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from impslam.columns import Columns
+from impslam.diagnosis.evidence import Evidence
+from impslam.diagnosis.finding import Finding
+from impslam.odometry.odometry_pose import OdometryPoses
+from impslam.types import Array
+
+MIN_JUMPS = 0.5
+"""Share of the steps that are jumps: single ones are resets or lost readings."""
+MAX_TURN_RATE = 10.0
+"""rad/s, more than a turn and a half per second."""
+MIN_PERIOD = 20.0
+"""s from scan to scan: in ms, 50 scans per second, the most of usual lidars."""
+
+
+def check_pose_units(e: Evidence) -> Iterator[Finding]:
+    """Find poses in mm or degrees, and stamps in ms."""
+    period = e.timing.period
+    if period >= MIN_PERIOD:
+        yield Finding(
+            "stamps in ms",
+            f"scans are stamped {period:.4g} s apart: their stamps may be in ms",
+            advice="of a CSV log, give --columns stamp=NAME*0.001",
+            sure=0.5,
+            harmful=False,
+        )
+    elif isinstance(e.odometry, OdometryPoses) and e.recording.odometry and not e.untimed:
+        yield from _poses(e.odometry, e.recording.odometry)
+
+
+def _poses(odometry: OdometryPoses, readings: Sequence[Columns]) -> Iterator[Finding]:
+    times, poses = _steps(readings, "stamp"), _steps(readings, "pose")
+    seconds = np.fmax(times, max(float(np.median(times)), 1e-3)) if len(times) else times
+    yield from _lengths(odometry, np.hypot(*poses[:, :2].T), seconds)
+    headings = np.concatenate([np.asarray(c["pose"])[:, 2] for c in readings])
+    if np.abs(headings).max() > math.tau:  # else they may be wrapped, and look fast at each turn
+        yield from _turns(np.abs(poses[:, 2]), seconds)
+
+
+def _lengths(odometry: OdometryPoses, lengths: Array, seconds: Array) -> Iterator[Finding]:
+    """Find steps (m,) that are jumps by `max_speed`, but not if they are in mm."""
+    speeds = odometry.distance_scale * (lengths / np.fmax(seconds, 0.2))[lengths > 0.0]
+    if not len(speeds) or (speeds > odometry.max_speed).mean() < MIN_JUMPS:
+        return
+    typical = float(np.median(speeds))
+    if 0.001 * typical < odometry.max_speed:
+        scale = f"odometry.distance_scale={0.001 * odometry.distance_scale:g}"
+        what = f"odometry drives at {typical:.3g} m/s and more: its poses are in mm"
+        yield Finding("poses in mm", what, (scale,))
+
+
+def _turns(turns: Array, seconds: Array) -> Iterator[Finding]:
+    """Find turns (m,) faster than those of any robot."""
+    rates = turns / seconds
+    order = np.argsort(rates)
+    passed = np.cumsum(turns[order])
+    typical = float(rates[order[np.searchsorted(passed, 0.5 * passed[-1])]]) if len(turns) else 0.0
+    if typical > MAX_TURN_RATE:
+        what = f"half of odometry's turns are faster than {typical:.3g} rad/s: its headings are in degrees"
+        advice = "of a CSV log, give --columns theta=NAME*0.0174533"
+        yield Finding("poses in degrees", what, advice=advice)
+
+
+def _steps(pieces: Sequence[Columns], name: str) -> Array:
+    """Return the finite differences of a column from row to row."""
+    values = np.concatenate([np.asarray(c.stamps if name == "stamp" else c[name]) for c in pieces])
+    return np.diff(values, axis=0)

@@ -72,6 +72,12 @@ def test_an_unknown_mount_is_reported(entries, tmp_path, ways, said):
     assert problems.counts == {"unknown mount": 1}
 
 
+def test_a_transform_that_is_published_too_late_is_not_denied(entries, tmp_path):
+    late = moving((40.0, T.links(STAMP, URDF)))
+    line = read(bag(tmp_path, [*entries, *late]))[2]
+    assert "there is no transform to laser in the first 30 s of /tf; set sensors" in line
+
+
 @pytest.mark.parametrize(
     ("values", "said"), [((0, 0, 0, 2.0), "length 2"), ((0, 0, math.nan, 1), "not finite")]
 )

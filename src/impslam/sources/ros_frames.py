@@ -70,6 +70,7 @@ class Frames:
         self._static, self._bad = StaticLinks(), dict[str, str]()
         self._edges: dict[Edge, None] = {}
         self._children: dict[str, str] = {}
+        self._end = ""  # where reading of transforms ended early, for messages
         publishers = [c for c in bag.connections if c.msgtype in TF_TYPES and c.msgcount]
         if publishers:
             self._read(bag, publishers)
@@ -90,7 +91,10 @@ class Frames:
         for connection, time, message in _decoded(bag, static):
             self._learn(connection.topic, message, time <= begin)
         for connection, time, message in _decoded(bag, moving):
-            if time > begin and (time > begin + LOOK_AHEAD or self._is_complete()):
+            if time > begin + LOOK_AHEAD:
+                self._end = f" in the first {LOOK_AHEAD // 10**9} s of {connection.topic}"
+                break
+            if time > begin and self._is_complete():
                 break
             self._learn(connection.topic, message, time <= begin)
 
@@ -240,8 +244,9 @@ class Frames:
         if not frame:
             return "its messages have no frame"
         if not links:
-            return f"there is no transform to {frame}"
-        return f"{frame} leads up to {top}, not to {bases[0] if bases else 'base_link'}"
+            return f"there is no transform to {frame}{self._end}"
+        base = bases[0] if bases else "base_link"
+        return f"{frame} leads up to {top}, not to {base}{self._end}"
 
 
 def links(decode: Callable[[bytes], RosMessage], data: bytes) -> Iterator[FrameTransform]:

@@ -14,7 +14,7 @@ from impslam.diagnosis.finding import worst_health
 from impslam.health import MISALIGNED, MISSCALED, MISTIMED, OPPOSED, SOUND
 from impslam.simulation.simulate import simulate
 from impslam.simulation.world import load_world
-from impslam.types import LaserScan, OdometryPose, Stamped, TruePose, WheelAngles
+from impslam.types import Imu, LaserScan, OdometryPose, Stamped, TruePose, WheelAngles
 
 
 @pytest.fixture(scope="module")
@@ -148,6 +148,18 @@ def test_units_of_poses(drive, scale, kind, remedy) -> None:
     problems = [one for one in diagnose(load("default"), wrong, {}) if one.harmful]
     assert [one.kind for one in problems] == ([kind] if kind else [])
     assert all(remedy in str(one) for one in problems)
+
+
+def test_odometry_at_1_hz_shows_no_lag(drive) -> None:
+    """Between its readings, turns seem to begin and end at other times."""
+
+    def rare(c: Columns) -> Columns:
+        return c.take(np.flatnonzero(np.diff(np.floor(c.stamps), prepend=-1.0)))
+
+    late = list(faults.faulty(drive, faults.late(0.3)))
+    assert "stamps late" in harm(late)
+    rarely = list(faults.faulty(late, faults.of((WheelAngles, Imu), rare)))
+    assert "stamps late" not in [one.kind for one in found(rarely)]
 
 
 def test_stamps_in_ms_are_noted(drive) -> None:

@@ -19,6 +19,9 @@ MAX_LAG, LAG_STEP = 1.0, 0.05
 """s: range and step of the search: half of the time in which the quickest turn begins."""
 RATE_INTERVAL = 0.1
 """s over which a turn rate is computed: the time between two readings of slow odometry."""
+MAX_READING_PERIOD = 0.6
+"""s, median time between readings of odometry: turns take a second, so between rarer readings they seem to
+begin and end up to a tenth of a second off."""
 BLOCK = 20
 """Sweeps after which errors are uncorrelated: two seconds of most lidars."""
 MAX_SWEEPS = 4000
@@ -41,7 +44,10 @@ class Lag(NamedTuple):
 
 
 def estimate_lag(motion: SweepMotions, odometer: Odometer) -> Lag | None:
-    """Return the lag of scans with stamps as received; None if there are too few turns."""
+    """Return the lag of scans with stamps as received; None if there are too few turns or readings."""
+    steps = np.diff(odometer.stamps)
+    if not len(steps) or np.median(steps) > MAX_READING_PERIOD:
+        return None
     rows = _turning(motion)
     before, after = motion.stamps[rows - 1], motion.stamps[rows]
     whole = odometer.is_whole(before - MAX_LAG, after + MAX_LAG)

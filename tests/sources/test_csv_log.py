@@ -191,6 +191,23 @@ def test_lines_of_different_length_are_explained(tmp_path: Path) -> None:
         read(path)
 
 
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (
+            "t;x;y;theta;0;1;2\n" + "1,5;1,0;2,0;0,5;4,25;5,5;6,0\n" * 2,
+            "decimal commas; write points",
+        ),
+        ("\ufefft,x,y,theta,0,1,2\n1,1,2,0.5,4,5,6\n", "in UTF-16; save it as UTF-8"),
+    ],
+)
+def test_what_spreadsheets_write_is_explained(tmp_path: Path, text: str, said: str) -> None:
+    path = tmp_path / "log.csv"
+    path.write_bytes(text.encode("utf-16-le" if "\ufeff" in text else "utf-8"))
+    with pytest.raises(SourceError, match=f"no known log format.*{said}"):
+        read(path)
+
+
 def test_limits_that_no_range_can_keep_are_unset(tmp_path: Path) -> None:
     """Drivers that do not know their lidar write a range_max of 0."""
     (scan,) = messages(tmp_path, "stamp,range_min,range_max,0,1,2", "1,0.15,0,1,2,3")

@@ -75,7 +75,11 @@ class CsvLog(TextSource):
 
     @classmethod
     def explain_refusal(cls, path: Path) -> str:
-        """Say that the lines of a file of numbers differ in length."""
+        """Say that a file is UTF-16, has decimal commas, or lines of different length."""
+        if path.is_file() and _starts_with_utf16(path):
+            return "it is text in UTF-16; save it as UTF-8"
+        if sum(map(_has_decimal_comma, _opening(path).second)) >= MIN_COLUMNS:
+            return "for a CSV log, its numbers have decimal commas; write points, as in 1.5"
         widths = _first_widths(path)
         if widths is None or min(widths) < MIN_COLUMNS:
             return ""
@@ -231,6 +235,15 @@ def _first_widths(path: Path) -> tuple[int, int] | None:
     if any(b"{" in cell for cell in first):  # JSON has commas, too
         return None
     return (len(first), len(second)) if sum(map(_is_cell, second)) >= MIN_COLUMNS else None
+
+
+def _starts_with_utf16(path: Path) -> bool:
+    with path.open("rb") as file:
+        return file.read(2) in (b"\xff\xfe", b"\xfe\xff")
+
+
+def _has_decimal_comma(cell: bytes) -> bool:
+    return cell.count(b",") == 1 and _is_cell(cell.replace(b",", b"."))
 
 
 def _scan(values: Array, found: CsvLayout, stamp: float) -> Iterator[LaserScan]:

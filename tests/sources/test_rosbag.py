@@ -15,6 +15,7 @@ from impslam.errors import SourceError
 from impslam.sources import ros_rows
 from impslam.sources.base import Source, recognise
 from impslam.sources.recording import McapWriter
+from impslam.sources.ros_topics import rival_note
 from impslam.sources.rosbag import RosBag
 from impslam.types import Event, Image, LaserScan, Message, OdometryPose, TruePose, WheelAngles
 
@@ -186,6 +187,11 @@ def test_a_wanted_second_lidar_is_a_separate_stream(tmp_path: Path) -> None:
         assert source.total == 3
         (batch,) = source.batches()
     assert {name: c.stamps.tolist() for name, c in batch.items()} == {"/a": [2.5, 3.5], "/b": [1.5]}
+
+
+def test_a_point_cloud_is_told_what_reads_it() -> None:
+    note = rival_note("/points", "sensor_msgs/msg/PointCloud2", {"/odom": "odometry"})
+    assert note.startswith("not read: make a LaserScan of it with")
 
 
 def test_a_bag_that_cannot_be_opened_is_an_error_with_advice(tmp_path: Path) -> None:

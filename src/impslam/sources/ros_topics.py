@@ -122,7 +122,9 @@ def _check(log: Path, use: Use, topic: str, counts: Counts) -> None:
 
 
 def rival_note(topic: str, kind: str, defaults: Mapping[str, Use]) -> str:
-    """Return which topic is read instead of this one, and how to read this one; or ""."""
+    """Return why a topic is not read, and how to read it; or ""."""
+    if kind == "sensor_msgs/msg/PointCloud2":
+        return "not read: make a LaserScan of it with the ROS package pointcloud_to_laserscan"
     uses = [use for use, kinds in TYPES.items() if kind in kinds]
     taken = {use: name for name, use in defaults.items() if use in uses}
     if not taken:

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from impslam.paths import is_file, make_folder, numbered
+from impslam.errors import ConfigError
+from impslam.paths import is_file, keep_inputs, make_folder, numbered
 
 
 def test_names_are_numbered_before_the_suffix(tmp_path: Path) -> None:
@@ -36,3 +37,15 @@ def test_nobody_shares_a_folder(tmp_path: Path) -> None:
 def test_a_name_that_cannot_be_one_is_no_file(tmp_path: Path) -> None:
     assert not is_file(tmp_path / "a\0b")
     assert not is_file(tmp_path / ("a" * 10_000))
+
+
+def test_an_output_that_is_an_input_is_refused_under_any_name(tmp_path: Path) -> None:
+    log, bag = tmp_path / "a.log", tmp_path / "bag"
+    log.write_text("1")
+    bag.mkdir()
+    (tmp_path / "link.log").symlink_to(log)
+    (tmp_path / "hard.log").hardlink_to(log)
+    for name in ("a.log", "link.log", "hard.log", "bag/../a.log", "bag", "bag/new/b.csv"):
+        with pytest.raises(ConfigError, match="would change it; give another path"):
+            keep_inputs([None, bag, log], [None, tmp_path / name])
+    keep_inputs([log, bag, tmp_path / "preset"], [tmp_path / "b.log", tmp_path / "preset"])

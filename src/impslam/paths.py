@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from itertools import count
 from pathlib import Path
 
-from impslam.errors import ImpError
+from impslam.errors import ConfigError, ImpError
 
 
 def numbered(folder: Path, stem: str, suffix: str = "") -> Iterator[Path]:
@@ -57,6 +57,31 @@ def written(path: Path, advice: str, kind: type[ImpError] = ImpError) -> Iterato
     except OSError as error:
         text = f"{path}: cannot be written ({error.strerror or error}); {advice}"
         raise kind(text) from None
+
+
+def keep_inputs(inputs: Iterable[Path | None], outputs: Iterable[Path | None]) -> None:
+    """Check, before a command writes anything, that its outputs leave its inputs unchanged.
+
+    Raises
+    ------
+    ConfigError
+        If an output is one of the inputs, also under another name, or is inside one that is a folder.
+    """
+    given = [path for path in inputs if path is not None and path.exists()]  # not names of presets
+    for output in filter(None, outputs):
+        for path in given:
+            if _is_inside(output, path):
+                how = "is inside the input" if path.is_dir() else "is the input"
+                raise ConfigError(f"{output}: {how} {path} and would change it; give another path")
+
+
+def _is_inside(path: Path, other: Path) -> bool:
+    """Return whether a path is the other one, or inside it; links and hard links are followed."""
+    if path.resolve().is_relative_to(other.resolve()):
+        return True
+    with suppress(OSError):
+        return path.samefile(other)
+    return False
 
 
 def is_file(path: Path) -> bool:

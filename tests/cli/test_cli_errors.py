@@ -10,6 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.maps.drawn import mapped
+from tests.recognition.plans import OFFICE
 
 import impslam.cli.config
 from impslam.errors import SourceError
@@ -197,7 +199,7 @@ def test_output_that_cannot_be_made(imp, room, tmp_path) -> None:
 def test_output_within_the_log(imp, tmp_path) -> None:
     (tmp_path / "a_motors.txt").write_text("M 0 0 0 0 0 0 0 0 0 0\nM 100 9 0 0 0 9 0 0 0 0\n")
     (tmp_path / "a_scan.txt").write_text("S 0 3 900 900 900\nS 100 3 900 900 900\n")
-    fails(imp("run", tmp_path, "-o", tmp_path / "run"), "inside the log", "another -o")
+    fails(imp("run", tmp_path, "-o", tmp_path / "run"), "is inside the input", "another path")
     assert len(list(tmp_path.iterdir())) == 2
 
 
@@ -318,3 +320,51 @@ def test_output_reaches_a_pipe_at_once_where_python_is_unbuffered() -> None:
         assert process.stdout is not None
         assert process.stdout.readline().strip() == b"up"
         process.stdin.close()
+
+
+INPUTS_AS_OUTPUTS = [
+    "run log.mcap -o new --mcap log.mcap",
+    "run log.mcap -o new --mcap ./link.mcap",
+    "run log.mcap --map map.mp4 -o new --video map.mp4",
+    "map info map.imp --json map.imp",
+    "map info map.png",
+    "map diff map.imp map.png --json map.imp",
+    "map straighten map.imp -o map.imp",
+    "map merge map.imp map.png -o map.png",
+    "map localise map.imp places.csv -o .",
+    "evaluate true.tum --truth true.tum --json true.tum",
+    "evaluate run --json run/map.imp",
+    "calibrate log.mcap -c mine.toml -o mine.toml",
+    "calibrate log.mcap --json log.mcap",
+    "track film.mp4 --setup film.tum -o film.tum",
+    "simulate hall.toml -o new.mcap --camera hall.mp4",
+]
+OTHERS = [  # an output that exists, and is not what the command writes
+    "map straighten map.imp -o true.tum",
+    "map merge map.imp map.png -o log.mcap",
+    "simulate room -o log.mcap",
+]
+
+
+@pytest.mark.parametrize("words", [*INPUTS_AS_OUTPUTS, *OTHERS])
+def test_no_command_overwrites_its_inputs_or_foreign_files(
+    imp, room, tmp_path, monkeypatch, words
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    known = mapped(OFFICE, np.zeros((2, 3)))
+    for name in ("map.imp", "map.png", "map.mp4"):
+        known.save(Path(name))
+    (tmp_path / "run").mkdir()
+    known.save(Path("run/map.imp"))
+    Path("log.mcap").write_bytes(room.read_bytes())
+    Path("link.mcap").symlink_to("log.mcap")
+    for name in ("places.csv", "true.tum", "mine.toml", "hall.toml", "film.mp4", "film.tum"):
+        Path(name).write_text("0 1 2 0 0 0 0 1\n")
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    fails(imp(*words.split()), "give another")
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
+
+
+def test_a_command_may_replace_its_own_earlier_output(imp, tmp_path) -> None:
+    for _ in range(2):
+        assert imp("simulate", "room", "-o", tmp_path / "room.mcap").code == 0

@@ -70,11 +70,14 @@ def calibrate(  # noqa: PLR0913  # each is an option that a user may give
         JSON file to write all numbers to.
     """
     from impslam.cli.job import all_settings
+    from impslam.paths import keep_inputs
 
     if not logs:
         raise ConfigError("no log given; name one or more logs of one robot")
     if output is not None and output.suffix.lower() != ".toml":
         raise ConfigError(f"{output}: the config is written as TOML; give -o NAME.toml")
+    written = () if output is None else (output, output.with_suffix(".png"))
+    keep_inputs([*logs, *([] if config is None else [Path(config)])], [*written, json])
     changes = all_settings(settings, topics, columns)
     quiet = common is not None and common.quiet
     if square is not None:

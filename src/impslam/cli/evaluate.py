@@ -69,6 +69,11 @@ def evaluate(
         raise ConfigError("--delta and --gate are lengths in m, greater than 0")
     if output is not None and output.suffix.lower() != ".png":
         raise ConfigError(f"{output}: pictures are written as PNG; give -o NAME.png")
+    from impslam.cli.run_folder import RUN_FILES
     from impslam.cli.scoring import compare
+    from impslam.paths import keep_inputs
 
+    parts = [run / name for run in runs for name in RUN_FILES]
+    keep_inputs([against.truth, against.landmarks, against.relations], [output, json])
+    keep_inputs([run for run in runs if not run.is_dir()] + parts, [output, json])
     compare(runs, against, output, json, quiet=common is not None and common.quiet)

@@ -43,14 +43,18 @@ class Exports:
         ConfigError
             If a file cannot be written; it is raised before the run begins.
         """
-        for path, ending in self._files():
+        for path, ending in self._endings():
             if path.suffix != ending:
                 raise ConfigError(f"{path}: the file name must end in {ending}")
             if not path.parent.is_dir():
                 raise ConfigError(f"{path}: no such folder: {path.parent}; create it first")
         return list(self._observers(show))
 
-    def _files(self) -> list[tuple[Path, str]]:
+    def files(self) -> list[Path]:
+        """Return the files to write."""
+        return [path for path, _ in self._endings()]
+
+    def _endings(self) -> list[tuple[Path, str]]:
         files = ((self.mcap, ".mcap"), (self.rerun, ".rrd"), (self.video, ".mp4"))
         return [(path, ending) for path, ending in files if path is not None]
 

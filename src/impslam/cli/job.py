@@ -18,6 +18,7 @@ from impslam.health import SOUND, Standing
 from impslam.map import Map
 from impslam.observers.base import Observer
 from impslam.observers.recorder import Recorder
+from impslam.paths import keep_inputs
 from impslam.run import map_log
 from impslam.sources.base import Source
 from impslam.types import TrueLandmark
@@ -79,8 +80,7 @@ def execute(  # noqa: PLR0913  # all parts of a run
     exports : further files to write
     health : problems with the log that affect all poses
     """
-    if folder.resolve().is_relative_to(source.path.resolve()):
-        raise ConfigError(f"{folder}: is inside the log and would change it; give another -o")
+    keep_inputs([source.path], [folder, *([] if exports is None else exports.files())])
     with display(quiet) as progress:
         landmarks = true_landmarks or source.true_landmarks() or read_surveyed(source.path)
         bar = RunBar(source, progress)

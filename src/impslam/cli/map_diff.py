@@ -45,9 +45,11 @@ def diff(
     from impslam.maps.files import map_image
     from impslam.maps.relation import aligned_to
     from impslam.observers.change_picture import changes_png
+    from impslam.paths import keep_inputs
 
     quiet = common is not None and common.quiet
     picture = None if output is None else picture_path(after, output)
+    keep_inputs([before, after], [picture, json])
     known, other = Map.load(before), Map.load(after)
     with progress_line("aligning the maps", quiet) as progress:
         if not aligned:

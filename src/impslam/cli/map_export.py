@@ -34,8 +34,9 @@ def export(
     from impslam.map import Map
     from impslam.maps.files import map_image
     from impslam.observers.map_files import MAP_FILES, write_map_files
-    from impslam.paths import written
+    from impslam.paths import keep_inputs, written
 
+    keep_inputs([file], [output / name for name in MAP_FILES])
     quiet = common is not None and common.quiet
     with progress_line("exporting", quiet):
         known = Map.load(file)

@@ -42,9 +42,11 @@ def info(
     from impslam.map import Map
     from impslam.maps.facts import facts
     from impslam.maps.files import map_image
+    from impslam.paths import keep_inputs
 
     quiet = common is not None and common.quiet
     picture = picture_path(file, output)
+    keep_inputs([file], [picture, json])
     with progress_line("reading the map", quiet):
         known = Map.load(file)
     with progress_line("drawing the map", quiet):

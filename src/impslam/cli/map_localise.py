@@ -51,9 +51,14 @@ def localise(  # noqa: PLR0913  # each is an option that a user may give
     from impslam.map import Map
     from impslam.maps.files import map_image
     from impslam.observers.places_picture import places_png
+    from impslam.paths import keep_inputs
 
     quiet = common is not None and common.quiet
     changes = all_settings(settings, topics)
+    name = log.resolve().name.split(".")[0] or "log"
+    stem = f"{name}-places-{time.strftime('%Y%m%d-%H%M%S')}"
+    folder = output or Path("runs") / stem
+    keep_inputs([file, log], [folder / one for one in FILES])
     known = Map.load(file)
     with progress_line("localising", quiet) as progress:
         found = list(
@@ -62,9 +67,7 @@ def localise(  # noqa: PLR0913  # each is an option that a user may give
                 progress=lambda position, total: progress(position / total) if total else None,
             )
         )  # fmt: skip
-        name = log.resolve().name.split(".")[0] or "log"
-        stem = f"{name}-places-{time.strftime('%Y%m%d-%H%M%S')}"
-        folder = result_folder(output or Path("runs") / stem, FILES)
+        result_folder(folder, FILES)
         write_bytes(folder / CSV, _table(found).encode())
         write_bytes(folder / PICTURE, places_png(map_image(known.grid()), found))
         facts = _facts(found)

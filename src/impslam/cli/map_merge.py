@@ -23,12 +23,13 @@ def merge(
     output
         File of the merged map.
     """
-    from impslam.cli.map_work import progress_line
+    from impslam.cli.map_work import check_map_path, progress_line
     from impslam.map import Map
     from impslam.maps.merge import NotMergedError, merged
 
     if len(files) < 2:
         raise ConfigError("merge needs two or more maps: imp map merge A.imp B.imp -o C.imp")
+    check_map_path(output, files)
     quiet = common is not None and common.quiet
     maps = [Map.load(file) for file in files]
     with progress_line("merging", quiet) as progress:

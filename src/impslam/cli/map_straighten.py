@@ -27,10 +27,11 @@ def straighten(
     output
         File of the straightened map.
     """
-    from impslam.cli.map_work import progress_line
+    from impslam.cli.map_work import check_map_path, progress_line
     from impslam.errors import ImpError
     from impslam.map import Map
 
+    check_map_path(output, [file])
     quiet = common is not None and common.quiet
     with progress_line("straightening", quiet):
         known = Map.load(file)

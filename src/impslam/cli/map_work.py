@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,7 +11,8 @@ import numpy as np
 
 from impslam.cli.progress import display
 from impslam.errors import ConfigError
-from impslam.paths import written
+from impslam.maps.archive import is_map
+from impslam.paths import keep_inputs, written
 
 if TYPE_CHECKING:
     from impslam.map import Map
@@ -47,6 +48,19 @@ def picture_path(beside: Path, requested: Path | None) -> Path:
     if requested is not None and requested.suffix.lower() != ".png":
         raise ConfigError(f"{requested}: pictures are written as PNG; give -o NAME.png")
     return requested or beside.with_suffix(".png")
+
+
+def check_map_path(path: Path, inputs: Sequence[Path]) -> None:
+    """Check that a map may be written to a path: it replaces neither an input nor anything but a map.
+
+    Raises
+    ------
+    ConfigError
+        If it would.
+    """
+    keep_inputs(inputs, [path])
+    if path.exists() and not is_map(path):
+        raise ConfigError(f"{path}: exists and is not a map; give another -o")
 
 
 def result_folder(folder: Path, files: frozenset[str]) -> Path:

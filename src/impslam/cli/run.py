@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -72,10 +73,18 @@ class ContinuationOptions:
     frozen: Flag = False
     start: str | None = None
 
-    def known(self, *, live: bool) -> Known | None:
-        """Return the map to continue, or None; raise `ConfigError` if the run is `live`."""
-        from impslam.continuing import begin_with
+    def known(self, *, live: bool, outputs: Sequence[Path]) -> Known | None:
+        """Return the map to continue, or None.
 
+        Raises
+        ------
+        ConfigError
+            If the run is `live`, or one of its output files would replace the map.
+        """
+        from impslam.continuing import begin_with
+        from impslam.paths import keep_inputs
+
+        keep_inputs([self.map], outputs)
         if self.map is not None and live:
             raise ConfigError("--live cannot continue a map; leave out --live or --map")
         hint = None if self.start is None else parse_start(self.start)
@@ -128,7 +137,10 @@ def run(  # noqa: PLR0913  # each is an option that a user may give
 
     changes = all_settings(settings, topics, columns, seed)
     page, end, quiet = page or LivePage(), EndOfRun(), common is not None and common.quiet
-    known_map = None if continuation is None else continuation.known(live=page.live)
+    known_map = None
+    if continuation is not None:
+        outputs = [] if exports is None else exports.files()
+        known_map = continuation.known(live=page.live, outputs=outputs)
     chosen, source = open_log(log, config, changes)
     if known_map is not None:
         chosen = _continuing_config(chosen, changes, quiet=quiet)

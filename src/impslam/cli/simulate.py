@@ -57,8 +57,17 @@ def simulate(
         Video file (.mp4, .avi, .mkv) to film the drive to with an overhead camera.
     """
     from impslam.evaluation.landmark_files import landmarks_path
+    from impslam.paths import keep_inputs
     from impslam.simulation.world import load_world
 
+    beside = [truth_path(output), landmarks_path(output)]
+    filmed = [] if camera is None else [camera, camera.with_suffix(".toml")]
+    keep_inputs([Path(world), robot], [output, *beside, *filmed])
+    if output.exists() and not beside[0].exists():
+        raise ConfigError(
+            f"{output}: exists and is not a simulated log ({beside[0].name} is not beside it); "
+            "give another -o"
+        )
     quiet = common is not None and common.quiet
     chosen = load_world(world)
     driven = load_robot(robot, settings)

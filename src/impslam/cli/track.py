@@ -42,8 +42,10 @@ def track(
     start
         Time of the first frame on the robot's clock, s. Default: that of the setup.
     """
+    from impslam.evaluation.landmark_files import landmarks_path
     from impslam.overhead.setup import load_setup
     from impslam.overhead.track import track as track_marker
+    from impslam.paths import keep_inputs
 
     quiet = common is not None and common.quiet
     if output.suffix.lower() != ".tum":
@@ -51,6 +53,8 @@ def track(
     if not video.is_file():
         raise ConfigError(f"{video}: no such video; check the path")
     setup_file = setup or video.with_suffix(".toml")
+    beside = [output.with_suffix(".csv"), output.with_suffix(".png"), landmarks_path(output)]
+    keep_inputs([video, setup_file], [output, *beside])
     loaded = load_setup(setup_file)
     if start is not None:
         loaded = loaded.model_copy(update={"start": start})

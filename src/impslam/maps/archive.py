@@ -108,6 +108,15 @@ def load(
         raise ImpError(f"{path}: not a map, or damaged ({reason}); save it again") from None
 
 
+def is_map(path: Path) -> bool:
+    """Return whether a file is a map, of any version."""
+    try:
+        with zipfile.ZipFile(path) as packed:
+            return "about.npy" in packed.namelist()
+    except _DAMAGE:
+        return False
+
+
 def about(path: Path) -> dict[str, Any]:
     """Return only the table of JSON values of a map's file.
 

@@ -6,11 +6,13 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import TYPE_CHECKING
 
 from cyclopts import Parameter
 
 from impslam.errors import ConfigError
+from impslam.paths import written
 
 if TYPE_CHECKING:
     from impslam.observers.base import Observer
@@ -48,6 +50,13 @@ class Exports:
                 raise ConfigError(f"{path}: the file name must end in {ending}")
             if not path.parent.is_dir():
                 raise ConfigError(f"{path}: no such folder: {path.parent}; create it first")
+            if path.is_dir():
+                raise ConfigError(f"{path}: is a folder; give another name")
+            with (
+                written(path, "check folder and permissions", ConfigError),
+                TemporaryFile(dir=path.parent),
+            ):
+                pass
         return list(self._observers(show))
 
     def files(self) -> list[Path]:

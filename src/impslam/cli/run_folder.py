@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Set
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from impslam.errors import ConfigError, SourceError
+from impslam.errors import ConfigError, ImpError, SourceError
 from impslam.paths import exchange, make_folder
 
 INITIAL_FILES = frozenset({"summary.json"})
@@ -108,8 +108,19 @@ def _kept(folder: Path, results: Set[str], error: BaseException) -> str:
     if not any(files[name].stat().st_size for name in useful):
         return ""
     if "map.imp" in files:
-        return f"{folder} contains the map up to here, marked as partial"
+        partial = _is_partial(files["map.imp"])
+        words = "map up to here, marked as partial" if partial else "complete map"
+        return f"{folder} contains the {words}"
     return f"{folder} contains {', '.join(sorted(useful))}"
+
+
+def _is_partial(file: Path) -> bool:
+    """Return whether a map is one of a part of a log; that of a run whose export failed is not."""
+    from impslam.maps.archive import about  # only needed here
+
+    with suppress(ImpError):
+        return bool(about(file).get("partial"))
+    return True
 
 
 def _replace(old: Path, new: Path, own: Set[str]) -> None:

@@ -12,6 +12,7 @@ import numpy as np
 from numba.core import event
 
 from impslam.cli import console
+from impslam.cli.interruption import Interruption
 from impslam.cli.job import execute
 from impslam.cli.progress import display
 from impslam.cli.run_folder import run_folder
@@ -41,6 +42,7 @@ def map_arena(
     *,
     force: bool,
     quiet: bool,
+    interruption: Interruption,
 ) -> None:
     """Simulate the arena, map it, and print the map beside the truth."""
     clock, world, end = DemoClock(), load_world(WORLD), EndOfRun()
@@ -49,12 +51,16 @@ def map_arena(
         log = folder / LOG
         with clock("simulate the arena"), display(quiet) as progress:
             scans = write_log(world, log, seed, progress)
+        interruption.check()
         if not quiet:
             console.echo(f"recorded {scans} scans, wheel encoders and gyro to {LOG}; mapping ...")
         with clock("map and report"):
             chosen, source = open_log(log, config, [f"start={start}", f"seed={seed}", *settings])
             true = world.landmarks()
-            known = execute(chosen, source, folder, quiet, more=[end], true_landmarks=true)
+            known = execute(
+                chosen, source, folder, quiet,
+                more=[end], true_landmarks=true, interruption=interruption,
+            )  # fmt: skip
     folder = output or folder
     if not quiet:
         _show_landmarks(world.landmarks(), known)

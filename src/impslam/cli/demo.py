@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from impslam.cli.console import Common, ConfigName, Force, Output, Settings
+from impslam.cli.interruption import Interruption
 
 
 def demo(
@@ -23,8 +24,10 @@ def demo(
     output
         New folder for the results. Default: runs/arena-DATE-TIME.
     """
-    from impslam.cli.arena import map_arena
+    with Interruption() as interruption:
+        from impslam.cli.arena import map_arena
 
-    map_arena(
-        seed, output, config, settings, force=force, quiet=common is not None and common.quiet
-    )
+        quiet = common is not None and common.quiet
+        map_arena(
+            seed, output, config, settings, force=force, quiet=quiet, interruption=interruption
+        )

@@ -1,67 +1,77 @@
-"""Stops a run on a signal, between two scans, so that what has been mapped is written."""
+"""Stops a command on a signal without an exception in the middle of native code.
+
+This module imports nothing slow, because a signal may arrive while a command starts.
+"""
 
 from __future__ import annotations
 
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from types import FrameType
 
 from impslam.errors import Interrupted
-from impslam.map import Keyframe, PathRows, Revision, Track
-from impslam.observers.base import Observer
 
 REASONS = {"SIGINT": "interrupted", "SIGTERM": "terminated", "SIGHUP": "terminal closed"}
-"""The signals that stop a run (Windows lacks some), and the reason to report."""
+"""The signals that stop a command (Windows lacks some), and the reason to report."""
 
 
-class Interruption(Observer):
-    """Stops a run on a signal: on the first one after the current scan, on the second at once.
+class Interruption:
+    """Stops a run: the first signal at the next `check`, the second at once. A context manager.
 
-    The first one also stops it at once if nothing is mapped yet. Use it as a context manager.
-
-    Parameters
-    ----------
-    on_stop : called before the run is stopped after a scan
+    An exception in a callback of numba's compiler is lost or ends the process, so the first signal is
+    only remembered. `check` is called between the stages before mapping, and between scans.
     """
 
-    def __init__(self, on_stop: Callable[[], None] = lambda: None) -> None:
-        self._on_stop, self._mapped, self._received = on_stop, False, 0
+    def __init__(self) -> None:
+        self.on_stop: Callable[[], None] = lambda: None
+        self._received = 0
 
     def __enter__(self) -> Interruption:
-        """Install handlers for the signals that are not ignored (as with `nohup`)."""
-        available = [getattr(signal, name) for name in REASONS if hasattr(signal, name)]
-        handled = [one for one in available if signal.getsignal(one) is not signal.SIG_IGN]
-        self._previous = {one: signal.signal(one, self._on_signal) for one in handled}
+        """Handle the signals."""
+        self._handling = _handling(self._on_signal)
+        self._handling.__enter__()
         return self
 
     def __exit__(self, *_: object) -> None:
         """Restore the previous handlers."""
-        for one, handler in self._previous.items():
-            signal.signal(one, handler)
-
-    def follow(self, track: Track, path: PathRows) -> None:
-        """Stop the run if a signal was received."""
-        del track, path
-        self._mapped = True
-        self.check()
-
-    def revise(self, keyframe: Keyframe, revision: Revision, path: PathRows) -> None:
-        """Stop the run if a signal was received."""
-        del keyframe, revision, path
-        self._mapped = True
-        self.check()
+        self._handling.__exit__(None, None, None)
 
     def check(self, *_: object) -> None:
-        """Raise `Interrupted` if a signal was received."""
+        """Raise `Interrupted` after calling `on_stop`, if a signal was received."""
         if self._received:
-            self._on_stop()
+            self.on_stop()
             raise _interrupted(self._received)
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
-        del frame
-        if self._received or not self._mapped:
-            raise _interrupted(number)
+        if self._received:
+            _raise(number, frame)
         self._received = number
+
+
+@contextmanager
+def stopped_at_once() -> Iterator[None]:
+    """Raise `Interrupted` on the first signal: for a command whose other processes do the work."""
+    with _handling(_raise):
+        yield
+
+
+@contextmanager
+def _handling(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
+    """Handle the signals that are not ignored (as with `nohup`); restore the handlers at the end."""
+    available = [getattr(signal, name) for name in REASONS if hasattr(signal, name)]
+    handled = [one for one in available if signal.getsignal(one) is not signal.SIG_IGN]
+    previous = {one: signal.signal(one, handler) for one in handled}
+    try:
+        yield
+    finally:
+        for one, before in previous.items():
+            signal.signal(one, before)
+
+
+def _raise(number: int, frame: FrameType | None) -> None:
+    del frame
+    raise _interrupted(number)
 
 
 def _interrupted(number: int) -> Interrupted:

@@ -15,7 +15,7 @@ from impslam.continuing import Known
 from impslam.errors import ConfigError
 from impslam.evaluation.landmark_files import read_surveyed
 from impslam.health import SOUND, Standing
-from impslam.map import Map
+from impslam.map import Keyframe, Map, PathRows, Revision, Track
 from impslam.observers.base import Observer
 from impslam.observers.recorder import Recorder
 from impslam.paths import keep_inputs
@@ -67,6 +67,7 @@ def execute(  # noqa: PLR0913  # all parts of a run
     known_map: Known | None = None,
     exports: Exports | None = None,
     health: Standing = SOUND,
+    interruption: Interruption | None = None,
 ) -> Map:
     """Map a log, write the results to a folder, and show the progress.
 
@@ -79,6 +80,7 @@ def execute(  # noqa: PLR0913  # all parts of a run
     known_map : the map to continue
     exports : further files to write
     health : problems with the log that affect all poses
+    interruption : stops the run between two scans; default: nothing does
     """
     keep_inputs([source.path], [folder, *([] if exports is None else exports.files())])
     with display(quiet) as progress:
@@ -86,8 +88,27 @@ def execute(  # noqa: PLR0913  # all parts of a run
         bar = RunBar(source, progress)
         files = [] if exports is None else exports.observers(bar.show)
         observers = [bar, Recorder(folder, landmarks), *more, *files]
+        stop = interruption or Interruption()
+        stop.check()
         if player is not None:
             return player(config, source, observers, health)
-        with Interruption(bar.interrupted) as interruption:
-            observers.append(interruption)
-            return map_log(config, source, observers, interruption.check, known_map, health)
+        stop.on_stop = bar.interrupted
+        observers.append(StopBetweenScans(stop))
+        return map_log(config, source, observers, stop.check, known_map, health)
+
+
+class StopBetweenScans(Observer):
+    """Stops a run after a scan if a signal was received."""
+
+    def __init__(self, interruption: Interruption) -> None:
+        self._interruption = interruption
+
+    def follow(self, track: Track, path: PathRows) -> None:
+        """Stop the run if a signal was received."""
+        del track, path
+        self._interruption.check()
+
+    def revise(self, keyframe: Keyframe, revision: Revision, path: PathRows) -> None:
+        """Stop the run if a signal was received."""
+        del keyframe, revision, path
+        self._interruption.check()

@@ -25,6 +25,7 @@ from impslam.cli.console import (
     Topics,
 )
 from impslam.cli.exports import Exports
+from impslam.cli.interruption import Interruption
 from impslam.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -129,34 +130,38 @@ def run(  # noqa: PLR0913  # each is an option that a user may give
     output
         New folder for the results. Default: runs/LOG-DATE-TIME.
     """
-    from impslam.cli.job import all_settings, execute
-    from impslam.cli.replay import replay
-    from impslam.cli.run_folder import run_folder
-    from impslam.observers.ending import EndOfRun
-    from impslam.open_log import open_log
+    with Interruption() as interruption:
+        from impslam.cli.job import all_settings, execute
+        from impslam.cli.replay import replay
+        from impslam.cli.run_folder import run_folder
+        from impslam.observers.ending import EndOfRun
+        from impslam.open_log import open_log
 
-    changes = all_settings(settings, topics, columns, seed)
-    page, end, quiet = page or LivePage(), EndOfRun(), common is not None and common.quiet
-    known_map = None
-    if continuation is not None:
-        outputs = [] if exports is None else exports.files()
-        known_map = continuation.known(live=page.live, outputs=outputs)
-    chosen, source = open_log(log, config, changes)
-    if known_map is not None:
-        chosen = _continuing_config(chosen, changes, quiet=quiet)
-    player = partial(replay, port=page.port, quiet=quiet) if page.live else None
-    with run_folder(
-        output, source.path.resolve().name.split(".")[0] or "log", force=force
-    ) as folder:
-        health = _first_look(chosen, source, config, quiet=quiet)
-        known = execute(
-            chosen, source, folder, quiet or page.live,
-            more=[end], player=player, known_map=known_map, exports=exports, health=health,
-        )  # fmt: skip
-    if not quiet and end.outcome is not None:
-        show_result(known, end.outcome, output or folder, with_speed=not page.live)
-        for line in () if exports is None else exports.lines():
-            console.echo(line)
+        interruption.check()
+        changes = all_settings(settings, topics, columns, seed)
+        page, end, quiet = page or LivePage(), EndOfRun(), common is not None and common.quiet
+        known_map = None
+        if continuation is not None:
+            outputs = [] if exports is None else exports.files()
+            known_map = continuation.known(live=page.live, outputs=outputs)
+        chosen, source = open_log(log, config, changes)
+        interruption.check()
+        if known_map is not None:
+            chosen = _continuing_config(chosen, changes, quiet=quiet)
+        player = partial(replay, port=page.port, quiet=quiet) if page.live else None
+        with run_folder(
+            output, source.path.resolve().name.split(".")[0] or "log", force=force
+        ) as folder:
+            health = _first_look(chosen, source, config, quiet=quiet)
+            known = execute(
+                chosen, source, folder, quiet or page.live,
+                more=[end], player=player, known_map=known_map, exports=exports, health=health,
+                interruption=interruption,
+            )  # fmt: skip
+        if not quiet and end.outcome is not None:
+            show_result(known, end.outcome, output or folder, with_speed=not page.live)
+            for line in () if exports is None else exports.lines():
+                console.echo(line)
 
 
 def _first_look(config: Config, source: Source, preset: str | None, *, quiet: bool) -> Standing:

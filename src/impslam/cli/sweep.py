@@ -146,12 +146,12 @@ def make_pool(jobs: int | None, scheduler: str | None) -> Pool:
 
 def _run(cases: Sequence[Case], pool: Pool, journal: Journal, quiet: bool) -> None:
     """Run cases and write their rows to the journal as they complete."""
-    from impslam.cli.interruption import Interruption
+    from impslam.cli.interruption import stopped_at_once
     from impslam.cli.progress import StageBars, display
     from impslam.sweeps.measures import run_case
     from impslam.sweeps.pool import ProcessDied
 
-    with Interruption(), display(quiet) as progress:
+    with stopped_at_once(), display(quiet) as progress:
         bars = StageBars(progress, "sweep")
         bars("runs", 0, len(cases))
         for done, (index, result) in enumerate(pool.each(run_case, cases), start=1):

@@ -100,13 +100,13 @@ def tune(  # noqa: PLR0913  # each is an option that a user may give
 
 def _search(task: Task, space: Space, search: Search, pool: Pool, folder: Path, quiet: bool) -> Any:
     """Search the space; return the study."""
-    from impslam.cli.interruption import Interruption
+    from impslam.cli.interruption import stopped_at_once
     from impslam.cli.progress import StageBars, display
     from impslam.sweeps.tuning import open_study, suggest
     from impslam.sweeps.tuning import search as find
 
     study = open_study(folder, task.values(space), space)
-    with Interruption(), display(quiet) as progress:
+    with stopped_at_once(), display(quiet) as progress:
         bars = StageBars(progress, "tune")
 
         def cases(trial: Any) -> list[Case]:

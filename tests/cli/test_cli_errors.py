@@ -322,6 +322,28 @@ def test_output_reaches_a_pipe_at_once_where_python_is_unbuffered() -> None:
         process.stdin.close()
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        "demo --seed 1.5",
+        "run room.mcap --seed 1.5",
+        "run room.mcap --port 80.5",
+        "simulate room -o room.mcap --seed 1.5",
+        "sweep arena --seeds 1.5",
+        "sweep arena --jobs 1.5",
+        "tune arena --trials 1.5",
+        "tune arena --seeds 1e1",
+        "reproduce points --seeds 1.5",
+        "robot --virtual --seed 1.5",
+        "robot --virtual --port 80.5",
+        "map localise map.imp room.mcap --every 150.7",
+    ],
+)
+def test_a_whole_number_is_not_rounded(imp, words) -> None:
+    *_, option, value = words.split()
+    fails(imp(*words.split()), option, f'"{value}" is not a whole number')
+
+
 INPUTS_AS_OUTPUTS = [
     "run log.mcap -o new --mcap log.mcap",
     "run log.mcap -o new --mcap ./link.mcap",

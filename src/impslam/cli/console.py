@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
-from cyclopts import Parameter
+from cyclopts import Parameter, Token
 
 from impslam.cli import startup_notice
 
@@ -21,6 +21,17 @@ if TYPE_CHECKING:
 WIDTH = 120
 """Columns of the output if it does not go to a terminal."""
 
+
+def whole_number(kind: object, tokens: Sequence[Token]) -> int:
+    """Return the integer that a user typed; cyclopts would round 1.5."""
+    del kind
+    try:
+        return int(tokens[0].value)
+    except ValueError:
+        raise ValueError(f'"{tokens[0].value}" is not a whole number') from None
+
+
+Whole: TypeAlias = Annotated[int, Parameter(converter=whole_number)]
 Flag: TypeAlias = Annotated[bool, Parameter(negative="", show_default=False)]
 Settings: TypeAlias = Annotated[
     tuple[str, ...],
@@ -39,7 +50,12 @@ ConfigName: TypeAlias = Annotated[
     ),
 ]
 Jobs: TypeAlias = Annotated[
-    int | None, Parameter(name=["--jobs", "-j"], help="Number of processes. Default: all cores.")
+    int | None,
+    Parameter(
+        name=["--jobs", "-j"],
+        help="Number of processes. Default: all cores.",
+        converter=whole_number,
+    ),
 ]
 RequiredOutput: TypeAlias = Annotated[Path, Parameter(name=["--output", "-o"])]
 Output: TypeAlias = Annotated[Path | None, Parameter(name=["--output", "-o"])]
@@ -69,7 +85,7 @@ Columns: TypeAlias = Annotated[
         help="Map the columns of a CSV log: --columns stamp=t,ranges=r0:r359*0.001.",
     ),
 ]
-Seed: TypeAlias = Annotated[int | None, Parameter(help="Random seed.")]
+Seed: TypeAlias = Annotated[int | None, Parameter(help="Random seed.", converter=whole_number)]
 
 
 @Parameter(name="*")

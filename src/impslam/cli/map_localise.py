@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter, validators
 
 from impslam.cli import console
-from impslam.cli.console import Common, ConfigName, Output, Settings, Topics
+from impslam.cli.console import Common, ConfigName, Output, Settings, Topics, Whole
 
 if TYPE_CHECKING:
     from impslam.localisation import Located
@@ -24,7 +24,7 @@ def localise(  # noqa: PLR0913  # each is an option that a user may give
     log: Path,
     /,
     *,
-    every: Annotated[int, Parameter(validator=validators.Number(gte=1))] = 1,
+    every: Annotated[Whole, Parameter(validator=validators.Number(gte=1))] = 1,
     config: ConfigName = None,
     output: Output = None,
     settings: Settings = (),

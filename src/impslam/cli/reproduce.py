@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from impslam.cli import console
-from impslam.cli.console import Common, Force, Jobs, Output
+from impslam.cli.console import Common, Force, Jobs, Output, whole_number
 from impslam.cli.progress import StageBars, display
 from impslam.cli.run_folder import run_folder
 from impslam.component import near_miss
@@ -45,7 +45,8 @@ ALL = "all"
 def reproduce(
     *experiments: str,
     seeds: Annotated[
-        int | None, Parameter(help="Simulated runs per experiment. Default: a few.")
+        int | None,
+        Parameter(help="Simulated runs per experiment. Default: a few.", converter=whole_number),
     ] = None,
     full: Annotated[
         bool,

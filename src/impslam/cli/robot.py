@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import App, Parameter
 
 from impslam.cli import console
-from impslam.cli.console import Common, Flag
+from impslam.cli.console import Common, Flag, Whole
 from impslam.cli.replay import need_web
 from impslam.errors import ConfigError, ImpError
 from impslam.platform.station.service import unit
@@ -30,7 +30,7 @@ app = App(name="robot")
 Address = Annotated[
     str, Parameter(help="Address to listen on. Other than loopback requires a password.")
 ]
-Port = Annotated[int, Parameter(help="TCP port of the page.")]
+Port = Annotated[Whole, Parameter(help="TCP port of the page.")]
 RobotPath = Annotated[Path, Parameter(name=["--config", "-c"], help="The robot file (TOML).")]
 
 
@@ -79,7 +79,7 @@ class VirtualOptions:
 
     virtual: Flag = False
     world: str = "arena"
-    seed: int = 0
+    seed: Whole = 0
     gps: Flag = False
     speed_control: Flag = False
 

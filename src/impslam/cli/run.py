@@ -23,6 +23,7 @@ from impslam.cli.console import (
     Seed,
     Settings,
     Topics,
+    Whole,
 )
 from impslam.cli.exports import Exports
 from impslam.cli.interruption import Interruption
@@ -51,7 +52,7 @@ class LivePage:
     """
 
     live: Flag = False
-    port: int = 8080
+    port: Whole = 8080
 
 
 @Parameter(name="*")

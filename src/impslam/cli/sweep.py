@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from impslam.cli import console
-from impslam.cli.console import Common, Jobs, Output
+from impslam.cli.console import Common, Jobs, Output, Whole
 from impslam.errors import ConfigError
 from impslam.paths import make_folder
 
@@ -55,7 +55,7 @@ def sweep(  # noqa: PLR0913  # each is an option that a user may give
     *logs: str,
     configs: Configs = (),
     settings: Alternatives = (),
-    seeds: int = 1,
+    seeds: Whole = 1,
     truth: Files = (),
     relations: Files = (),
     jobs: Jobs = None,

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from cyclopts import Parameter
 
 from impslam.cli import console
-from impslam.cli.console import Common, ConfigName, Jobs, Output, Settings
+from impslam.cli.console import Common, ConfigName, Jobs, Output, Settings, Whole
 from impslam.cli.sweep import Files, Scheduler, find_logs, make_pool
 from impslam.errors import ConfigError
 from impslam.paths import make_folder
@@ -51,8 +51,8 @@ class Search:
     search: Files = ()
     score: Score = "best"
     holdout: Files = ()
-    trials: int = 50
-    seeds: int = 1
+    trials: Whole = 50
+    seeds: Whole = 1
 
 
 def tune(  # noqa: PLR0913  # each is an option that a user may give

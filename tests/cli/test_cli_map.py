@@ -70,6 +70,9 @@ def test_export_writes_what_other_programs_read(imp, office, tmp_path) -> None:
         assert str(folder / "map.pgm") in said.out
     known = Map.load(office)
     np.testing.assert_allclose(read_tum(folder / "trajectory.tum"), known.path(), atol=1e-6)
+    header = (folder / "trajectory.csv").read_text().splitlines()[0]
+    assert header.startswith("stamp,x,y,theta,")
+    assert "health" not in header  # a map does not contain it
     assert len(read_g2o(folder / "graph.g2o").edges.i) == 19
     assert read_grid(folder / "map.yaml").resolution == 0.1
 

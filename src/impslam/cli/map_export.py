@@ -19,7 +19,7 @@ def export(
     """Export a map's grid, graph, landmarks and path to files.
 
     The files are `map.pgm` and `map.yaml` for map_server, `graph.g2o`, `landmarks.csv`,
-    `trajectory.tum` and `trajectory.csv`.
+    `trajectory.tum` and `trajectory.csv` (without health, which a map does not contain).
 
     Parameters
     ----------

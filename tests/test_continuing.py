@@ -135,7 +135,7 @@ def test_a_frozen_map_is_not_changed(drive, whole):
 
 def test_a_hint_tells_about_where_it_begins(drive, whole):
     slam = impslam.Slam("default", known=whole, frozen=True, hint=drive[0][170])
-    assert slam.placed
+    assert not slam.placed  # until the start is found
     given(slam, drive, slice(170, 340), late=1000.0)
     assert slam.placed
     assert np.abs(slam.pose[:2] - whole.path()[339, 1:3]).max() < 0.1

@@ -296,6 +296,16 @@ def test_a_file_that_is_not_there_is_told(tmp_path):
     refuses(tmp_path, "no such file")
 
 
+def test_wrong_arguments_are_told(known):
+    with pytest.raises(ImpError, match="path = None: expected the path of a map's file"):
+        Map.load(None)
+    np.testing.assert_array_equal(
+        known.moved([1, 2, 3]).path(), known.moved(np.array([1.0, 2, 3])).path()
+    )
+    with pytest.raises(ImpError, match="T has shape"):
+        known.moved([1.0, 2.0])
+
+
 @pytest.mark.parametrize("content", [b"", b"hello", b"PK\x03\x04", b"\0" * 1000])
 def test_what_is_no_zip_is_no_map(tmp_path, content):
     (tmp_path / "x.imp").write_bytes(content)

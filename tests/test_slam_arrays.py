@@ -296,6 +296,44 @@ BAD_SCANS = [
 ]
 
 
+@pytest.mark.parametrize(
+    ("low", "high"), [(5.0, 1.0), (2.0, 2.0), (math.nan, -3.0), (-1.0, math.nan)]
+)
+def test_limits_that_no_range_can_keep_are_refused(low, high):
+    with pytest.raises(ConfigError, match=r"range_min = .*: no range is between them"):
+        impslam.Slam().add_scans(0.0, RANGES[0], ANGLES, range_min=low, range_max=high)
+
+
+def test_masked_ranges_are_no_echo_and_other_masked_values_are_refused(tmp_path):
+    hidden = np.ma.masked_array(RANGES, mask=RANGES > 2.2)
+    maps = []
+    for ranges in (hidden, hidden.filled(math.nan)):
+        slam = impslam.Slam()
+        slam.add_odometry(STAMPS, POSES)
+        slam.add_scans(STAMPS, ranges, ANGLES)
+        maps.append(slam.finish())
+    assert same(*maps, tmp_path)
+    poses = np.ma.masked_array(np.zeros(1), mask=[True])
+    refuses(lambda slam: slam.add_odometry(poses, [0.0, 0.0, 0.0]), "stamps[0] is nan")
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"known": 3}, "known = 3: expected a Map, or the path of its file"),
+        ({"known": "a.imp", "hint": "a"}, "'a' is not a place in a map"),
+        ({"known": "a.imp", "hint": [1.0, None]}, "[1.0, None] is not a place in a map"),
+        ({"observers": 3}, "observers = 3: expected a list of Observer"),
+        ({"observers": [3]}, "observers = [3]: expected a list of Observer"),
+    ],
+)
+def test_wrong_options_are_refused_in_one_line(options, said):
+    with pytest.raises(ConfigError) as error:
+        impslam.Slam("default", **options)
+    assert said in str(error.value)
+    assert "\n" not in str(error.value)
+
+
 @pytest.mark.parametrize(("wrong", "said"), BAD_SCANS)
 def test_wrong_scans_are_refused_in_one_line(wrong, said):
     good = {"stamps": 0.0, "ranges": RANGES[0], "angles": ANGLES}

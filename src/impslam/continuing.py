@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from impslam.component import shorten
 from impslam.errors import ConfigError
 from impslam.geometry.se2 import between
 from impslam.map import Map, Track
@@ -165,9 +166,9 @@ def begin_with(
         if frozen or hint is not None:
             raise ConfigError("frozen and hint need a map; give one to localise in")
         return None
-    place = None if hint is None else np.array(hint, float)
-    if place is not None and (place.shape not in {(2,), (3,)} or not np.isfinite(place).all()):
-        raise ConfigError(f"{hint} is not a place in a map; give x,y in m, or x,y,theta with rad")
+    place = None if hint is None else _place(hint)
+    if not isinstance(known, Map | str | Path):
+        raise ConfigError(f"known = {shorten(known)}: expected a Map, or the path of its file")
     if not isinstance(known, Map):
         from impslam.imported_map import GRIDS, load_map  # noqa: PLC0415  few runs need it
 
@@ -179,6 +180,19 @@ def begin_with(
     if frozen and len(known.keyframes) == 0:
         raise ConfigError("the map has no keyframes; nothing can be localised in it")
     return Known(known, frozen, place)
+
+
+def _place(hint: Sequence[float]) -> Array:
+    """Return a user's approximate place in a map, (2,) or (3,)."""
+    try:
+        place = np.array(hint, float)
+    except (TypeError, ValueError):
+        place = np.empty(0)
+    if place.shape not in {(2,), (3,)} or not np.isfinite(place).all():
+        raise ConfigError(
+            f"{shorten(hint)} is not a place in a map; give x,y in m, or x,y,theta with rad"
+        )
+    return place
 
 
 def _cut(track: Track, begin: int) -> Track:

@@ -19,7 +19,10 @@ def numeric(name: str, values: npt.ArrayLike) -> Array:
     if array.dtype.kind not in "iuf":
         what = f"{shorten(values)} is of type {array.dtype}"
         raise ShapeError(f"{name}: {what}; give numbers, NaN for missing ones")
-    return array.astype(np.float64)  # a copy: later changes by the caller have no effect
+    array = array.astype(np.float64)  # a copy: later changes by the caller have no effect
+    if isinstance(values, np.ma.MaskedArray):
+        array[np.ma.getmaskarray(values)] = np.nan  # not the value under the mask
+    return array
 
 
 def finite(name: str, values: npt.ArrayLike, length: int | None) -> Array:

@@ -13,12 +13,15 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from impslam.columns import Sweeps
+from impslam.component import shorten
 from impslam.errors import ImpError
 from impslam.geometry.chain import advance
 from impslam.geometry.kernels import kernel, read_only
 from impslam.geometry.se2 import compose, inverse
+from impslam.given_arrays import finite
 from impslam.health import NONE, Reasons
 from impslam.maps import archive, layout
 from impslam.maps.direction import Direction, main_direction
@@ -338,11 +341,17 @@ class Map:
         self.keyframes.draw(grid)
         return grid
 
-    def moved(self, T: Array) -> Map:
+    def moved(self, T: npt.ArrayLike) -> Map:
         """Return the map after a rigid motion T (3,), which moves a point p to T p.
 
         Tracks, edges and scans are relative and do not change. The belief is omitted.
+
+        Raises
+        ------
+        ShapeError
+            If T is not three finite numbers.
         """
+        T = finite("T", T, 3)
         at = self.keyframes
         keyframes = replace(
             at, poses=compose(T, at.poses), covariances=moved_covariances(T, at.covariances)
@@ -414,6 +423,8 @@ class Map:
         ImpError
             If the file is missing, damaged, not a map, or of a newer version.
         """
+        if not isinstance(path, str | Path):
+            raise ImpError(f"path = {shorten(path)}: expected the path of a map's file")
         return archive.load(Path(path), layout.layout, _built)
 
 

@@ -20,11 +20,12 @@ import numpy as np
 
 from impslam.bookkeeping import Stopwatch, about, dropped, seal
 from impslam.columns import Batch, Motions, Sweeps, batches
+from impslam.component import shorten
 from impslam.config import Config
 from impslam.continuing import Continuation, Known, begin_with, logs_of
 from impslam.diagnosis.diagnose import first_health
 from impslam.diagnosis.odometry_watch import OdometryWatch
-from impslam.errors import SourceError, in_a_line
+from impslam.errors import ConfigError, SourceError, in_a_line
 from impslam.estimators.base import Draft
 from impslam.geometry.se2 import compose, compose_uncertain
 from impslam.health import SOUND, UNEXPLAINED, Standing
@@ -98,7 +99,16 @@ def run(  # noqa: PLR0913  # each is a choice that a user may make
     chosen, source = open_log(log, config, settings)
     if begin is not None:
         chosen = for_continuing(chosen, settings)
-    return map_log(chosen, source, observers, progress, begin, first_health(chosen, source))
+    seen_by = listed(observers)
+    return map_log(chosen, source, seen_by, progress, begin, first_health(chosen, source))
+
+
+def listed(observers: Iterable[Observer]) -> list[Observer]:
+    """Return a user's observers as a list; raise `ConfigError` if they are not some."""
+    given = list(observers) if isinstance(observers, Iterable) else None
+    if given is None or not all(isinstance(one, Observer) for one in given):
+        raise ConfigError(f"observers = {shorten(observers)}: expected a list of Observer")
+    return given
 
 
 def map_log(

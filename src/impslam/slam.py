@@ -12,12 +12,12 @@ import numpy.typing as npt
 from impslam.columns import Columns
 from impslam.config import Config
 from impslam.continuing import begin_with
-from impslam.errors import ImpError
+from impslam.errors import ConfigError, ImpError
 from impslam.given_arrays import finite, numeric, rows_of
 from impslam.map import Keyframe, Map, PathRows, Revision, Track
 from impslam.observers.base import Observer
 from impslam.open_log import finished, for_continuing
-from impslam.run import Run
+from impslam.run import Run, listed
 from impslam.types import (
     Array,
     LaserScan,
@@ -79,11 +79,11 @@ class Slam:
         hint: Sequence[float] | None = None,
     ) -> None:
         chosen = finished(config, settings)
-        self._newest = _Newest()
         begin = begin_with(known, frozen=frozen, hint=hint)
+        self._newest = _Newest(placed=begin is None)
         if begin is not None:
             chosen = for_continuing(chosen, settings)
-        self._run = Run(chosen, [self._newest, *observers], begin)
+        self._run = Run(chosen, [self._newest, *listed(observers)], begin)
         self._progress, self._order = progress, 0
         self._newest_stamps: dict[str, float] = {}  # by stream
         self._newest_scans: dict[str, float] = {}  # stamps by stream, of scans alone
@@ -119,10 +119,10 @@ class Slam:
         Parameters
         ----------
         stamps : (m,) or a number, s, of the first beam
-        ranges : (m, n) or (n,) m; 0, NaN and values beyond the limits mean no echo
+        ranges : (m, n) or (n,) m; 0, NaN, masked values and those beyond the limits mean no echo
         angles : (n,) rad in the laser frame, counter-clockwise, 0 ahead
         time_offsets : (n,) s after the stamp at which each beam was fired; all at once by default
-        range_min, range_max : m, the lidar's limits; NaN: those of the config
+        range_min, range_max : m, the lidar's limits; NaN, or a range_max of 0: those of the config
         stream : the lidar's stream, if the config has several
 
         Raises
@@ -130,7 +130,7 @@ class Slam:
         ShapeError
             If the shapes do not match, or a value is not a number.
         ConfigError
-            If no sensor of the config reads scans of this stream.
+            If no sensor of the config reads scans of this stream, or no range is within the limits.
         """
         beams = finite("angles", angles, None)
         n = len(beams)
@@ -140,6 +140,11 @@ class Slam:
             array = numeric(name, limit)
             check_shape(name, array)
             layout[name] = float(array)
+        if range_min < 0.0 or range_max < 0.0 or 0.0 < range_max <= range_min:
+            raise ConfigError(
+                f"range_min = {range_min:g}, range_max = {range_max:g}: no range is between them; "
+                "give the lidar's limits in m, or leave them out"
+            )
         self._add(LaserScan, stamps, {"ranges": ("ranges", ranges, (n,))}, layout, stream)
 
     def _add(
@@ -240,8 +245,9 @@ class Slam:
 class _Newest(Observer):
     """Remembers the newest pose."""
 
-    path: PathRows | None = None
-    placed = True
+    def __init__(self, *, placed: bool) -> None:
+        self.path: PathRows | None = None
+        self.placed = placed
 
     def follow(self, track: Track, path: PathRows) -> None:
         del track

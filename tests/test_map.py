@@ -1,10 +1,12 @@
 """The map as a value: it moves with its keyframes, and comes back from its file as it was."""
 
+import errno
 import io
 import json
 import zipfile
 from dataclasses import fields, replace
 from itertools import chain
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -293,7 +295,16 @@ def refuses(path, said=""):
 
 def test_a_file_that_is_not_there_is_told(tmp_path):
     refuses(tmp_path / "gone.imp", "no such file")
-    refuses(tmp_path, "no such file")
+    refuses(tmp_path, "is a folder; give the file of a map")
+    refuses(tmp_path / ("a" * 300), "no such file")
+
+
+def test_a_file_that_may_not_be_read_is_told(file, monkeypatch):
+    def refused(*_):
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+    monkeypatch.setattr(Path, "open", refused)  # a superuser may read any
+    refuses(file, "cannot be read (Permission denied); check permissions")
 
 
 def test_wrong_arguments_are_told(known):

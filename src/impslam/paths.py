@@ -86,7 +86,13 @@ def _is_inside(path: Path, other: Path) -> bool:
 
 def is_file(path: Path) -> bool:
     """Return whether the file exists; False for an invalid name (too long, or with NUL)."""
-    try:
+    with suppress(OSError, ValueError):
         return path.is_file()
-    except (OSError, ValueError):
-        return False
+    return False
+
+
+def is_folder(path: Path) -> bool:
+    """Return whether the folder exists; False for an invalid name."""
+    with suppress(OSError, ValueError):
+        return path.is_dir()
+    return False

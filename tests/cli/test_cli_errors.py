@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import logging
 import os
 import subprocess
@@ -14,6 +15,9 @@ from tests.maps.drawn import mapped
 from tests.recognition.plans import OFFICE
 
 import impslam.cli.config
+import impslam.cli.reproduce
+import impslam.config
+import impslam.studies.report
 from impslam.errors import SourceError
 from impslam.sources.recording import McapWriter
 from impslam.types import LaserScan, Message, WheelAngles
@@ -342,6 +346,42 @@ def test_output_reaches_a_pipe_at_once_where_python_is_unbuffered() -> None:
 def test_a_whole_number_is_not_rounded(imp, words) -> None:
     *_, option, value = words.split()
     fails(imp(*words.split()), option, f'"{value}" is not a whole number')
+
+
+def test_a_full_disk_is_told_with_the_file(imp, tmp_path, monkeypatch) -> None:
+    def full(*_, **__):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    log, folder = tmp_path / "room.mcap", tmp_path / "report"
+    said = "cannot be written (No space left on device); free disk space or give another -o"
+    monkeypatch.setattr(McapWriter, "write", full)
+    fails(imp("simulate", "room", "-o", log), f"{log}: {said}")
+    monkeypatch.setattr(impslam.cli.reproduce, "_study", lambda _: lambda _: None)
+    monkeypatch.setattr(impslam.studies.report, "write", full)
+    fails(imp("reproduce", "points", "-o", folder), f"{folder}: {said}")
+    monkeypatch.setattr(impslam.config, "load", full)  # a file that nothing names
+    fails(imp("config"), "No space left on device; free disk space")
+
+
+def test_an_error_of_a_plug_in_names_it(imp, room, tmp_path) -> None:
+    plug_in = tmp_path / "mine.py"
+    plug_in.write_text("""
+from impslam.component import register
+from impslam.extractors.circle import Circle
+@register("broken")
+class Broken(Circle):
+    def extract(self, scan, rng):
+        return {}["walls"]
+""")
+    parts = (
+        "--set",
+        f'plugins=["{plug_in}"]',
+        "--set",
+        "sensors.lidar.extractors.mine.kind=broken",
+    )
+    said = imp("run", room, "-c", "imp", "-o", tmp_path / "run", *parts)
+    named = f"KeyError: 'walls'; raised by extractor 'broken' of the plug-in {plug_in}, line 7"
+    fails(said, named, code=1)
 
 
 INPUTS_AS_OUTPUTS = [

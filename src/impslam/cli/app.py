@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import sys
 import traceback
 from collections.abc import Callable, Sequence
+from typing import Any
 
 from cyclopts import App, CycloptsError, UnusedCliTokensError
 
@@ -147,13 +149,30 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _fail(UNUSABLE, error, f"error: {error}", debug)
     except OSError as error:
         path = f"{error.filename}: " if error.filename else ""
-        return _fail(
-            UNUSABLE, error, f"error: {path}{error.strerror or error}; check the path", debug
-        )
+        advice = "free disk space" if error.errno in _FULL else "check the path"
+        return _fail(UNUSABLE, error, f"error: {path}{error.strerror or error}; {advice}", debug)
     except Exception as error:  # a bug in this program; users get one line, not a traceback
-        message = f"error: {type(error).__name__}: {error}; run again with --debug and report it"
-        return _fail(UNEXPECTED, error, message, debug)
+        place = _plugin(error)
+        advice = (
+            f"raised by {place}; see --debug" if place else "run again with --debug and report it"
+        )
+        return _fail(UNEXPECTED, error, f"error: {type(error).__name__}: {error}; {advice}", debug)
     return OK
+
+
+_FULL = frozenset({errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC)})
+
+
+def _plugin(error: BaseException) -> str:
+    """Return the component of a plug-in in which an error arose, with its file and line, or ""."""
+    component = sys.modules.get("impslam.component")  # not loaded by commands without components
+    for frame, line in reversed(list(traceback.walk_tb(error.__traceback__))):
+        kind: type[Any] = type(frame.f_locals.get("self"))
+        outside = not kind.__module__.startswith("impslam.")
+        if component is not None and outside and issubclass(kind, component.Component):
+            file = frame.f_code.co_filename
+            return f"{kind.role} {kind.name!r} of the plug-in {file}, line {line}"
+    return ""
 
 
 def _check_encoding(words: list[str]) -> None:

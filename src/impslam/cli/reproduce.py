@@ -18,6 +18,7 @@ from impslam.cli.progress import StageBars, display
 from impslam.cli.run_folder import run_folder
 from impslam.component import near_miss
 from impslam.errors import ConfigError
+from impslam.paths import written
 
 if TYPE_CHECKING:
     from impslam.studies.report import Section, Study
@@ -94,7 +95,8 @@ def reproduce(
         finally:
             if parts:  # if a later experiment is interrupted, keep hours of work
                 missing = names[len(parts) :]
-                write(folder, parts, shlex.join(command), missing)
+                with written(folder, "free disk space or give another -o"):
+                    write(folder, parts, shlex.join(command), missing)
     if not quiet:
         _show(parts)
         console.echo(f"report: {(output or folder) / PAGE}")

@@ -144,6 +144,7 @@ def write_log(
     from impslam.cli.simulated_config import config_of
     from impslam.evaluation.landmark_files import landmarks_path, write_true_landmarks
     from impslam.evaluation.tum import write_tum
+    from impslam.paths import written
     from impslam.simulation.drive import drive
     from impslam.simulation.robot import SimulatedRobot
     from impslam.simulation.simulate import simulate as messages
@@ -152,11 +153,14 @@ def write_log(
     # Planning the drive takes time, so its duration is computed only if the progress is shown.
     duration = 0.0 if progress is None else drive(world.robot).duration
     tick = ticker(progress, "simulating", duration)
-    log.parent.mkdir(parents=True, exist_ok=True)
-    with McapWriter(log, config_of(robot or SimulatedRobot())) as writer:
-        truth = list(_recorded(messages(world, robot, seed), writer.write, tick))
-    write_tum(truth_path(log), np.array([[true.stamp, *true.pose] for true in truth]))
-    write_true_landmarks(landmarks_path(log), world.landmarks())
+    with written(log, "free disk space or give another -o"):
+        log.parent.mkdir(parents=True, exist_ok=True)
+        with McapWriter(log, config_of(robot or SimulatedRobot())) as writer:
+            truth = list(_recorded(messages(world, robot, seed), writer.write, tick))
+    with written(truth_path(log), "free disk space or give another -o"):
+        write_tum(truth_path(log), np.array([[true.stamp, *true.pose] for true in truth]))
+    with written(landmarks_path(log), "free disk space or give another -o"):
+        write_true_landmarks(landmarks_path(log), world.landmarks())
     return len(truth)
 
 

@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from impslam.errors import ImpError
-from impslam.paths import written
+from impslam.paths import is_file, is_folder, written
 
 VERSION = 3
 """Version of the layout; see `layout`. Files of all versions up to this one can be read."""
@@ -94,10 +94,16 @@ def load(
     ImpError
         If the file is missing, damaged, not a map, or of a newer version.
     """
-    if not path.is_file():
+    if not is_file(path):
+        if is_folder(path):
+            raise ImpError(f"{path}: is a folder; give the file of a map, e.g. map.imp in it")
         raise ImpError(f"{path}: no such file; give a map that impslam has saved")
     try:
-        with zipfile.ZipFile(path) as packed:
+        file = path.open("rb")
+    except OSError as error:
+        raise ImpError(f"{path}: cannot be read ({error.strerror}); check permissions") from None
+    try:
+        with file, zipfile.ZipFile(file) as packed:
             version, about, free = _about(packed)
             arrays = _arrays(packed, layout(version))
             return build(arrays | {name: _array(packed, name) for name in free}, about)

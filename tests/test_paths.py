@@ -1,13 +1,14 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from itertools import islice
 from pathlib import Path
 
 import pytest
 
 from impslam.errors import ConfigError
-from impslam.paths import is_file, keep_inputs, make_folder, numbered
+from impslam.paths import is_file, keep_inputs, make_folder, numbered, replacement
 
 
 def test_names_are_numbered_before_the_suffix(tmp_path: Path) -> None:
@@ -49,3 +50,22 @@ def test_an_output_that_is_an_input_is_refused_under_any_name(tmp_path: Path) ->
         with pytest.raises(ConfigError, match="would change it; give another path"):
             keep_inputs([None, bag, log], [None, tmp_path / name])
     keep_inputs([log, bag, tmp_path / "preset"], [tmp_path / "b.log", tmp_path / "preset"])
+
+
+def test_a_file_is_replaced_completely_or_not_at_all(tmp_path: Path) -> None:
+    file = tmp_path / "a.png"
+    file.write_bytes(b"old")
+    with suppress(OSError), replacement(file) as stream:
+        stream.write(b"ne")
+        raise OSError("the disk is full")
+    assert file.read_bytes() == b"old"
+    with replacement(file) as stream:
+        stream.write(b"new")
+    assert file.read_bytes() == b"new"
+    assert list(tmp_path.iterdir()) == [file]
+
+
+def test_a_device_is_written_to_and_stays() -> None:
+    with replacement(Path("/dev/null")) as stream:
+        stream.write(b"lost")
+    assert Path("/dev/null").is_char_device()

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from itertools import count
 from pathlib import Path
+from typing import IO
 
 from impslam.errors import ConfigError, ImpError
 
@@ -82,6 +83,27 @@ def _is_inside(path: Path, other: Path) -> bool:
     with suppress(OSError):
         return path.samefile(other)
     return False
+
+
+@contextmanager
+def replacement(path: Path) -> Iterator[IO[bytes]]:
+    """Open a temporary file that replaces a file if the block succeeds, and is removed if it fails.
+
+    A device or pipe is written to, because it must not be replaced.
+    """
+    if path.exists() and not path.is_file():
+        with path.open("wb") as stream:
+            yield stream
+        return
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        with part.open("wb") as stream:
+            yield stream
+            stream.flush()
+            os.fsync(stream.fileno())
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
 
 
 def is_file(path: Path) -> bool:

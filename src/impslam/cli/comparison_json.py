@@ -12,7 +12,7 @@ from impslam.errors import ConfigError
 from impslam.evaluation.json_values import json_values
 from impslam.evaluation.relations import RelationErrors
 from impslam.evaluation.scores import KindScore, PathScore
-from impslam.paths import written
+from impslam.paths import replacement, written
 
 
 def write_json(path: Path, facts: Mapping[str, Any]) -> None:
@@ -24,8 +24,8 @@ def write_json(path: Path, facts: Mapping[str, Any]) -> None:
         If the file cannot be written.
     """
     text = json.dumps(json_values(facts), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-    with written(path, "choose another path", ConfigError):
-        path.write_text(text, encoding="utf-8")
+    with written(path, "choose another path", ConfigError), replacement(path) as stream:
+        stream.write(text.encode())
 
 
 def path_facts(score: PathScore) -> dict[str, Any]:

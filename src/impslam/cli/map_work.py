@@ -12,7 +12,7 @@ import numpy as np
 from impslam.cli.progress import display
 from impslam.errors import ConfigError
 from impslam.maps.archive import is_map
-from impslam.paths import keep_inputs, written
+from impslam.paths import keep_inputs, replacement, written
 
 if TYPE_CHECKING:
     from impslam.map import Map
@@ -96,12 +96,12 @@ def write_picture(path: Path, known: Map, image: MapImage) -> None:
 
 
 def write_bytes(path: Path, data: bytes) -> None:
-    """Write a file.
+    """Write a file, completely or not at all.
 
     Raises
     ------
     ImpError
         If it cannot be written.
     """
-    with written(path, "give another -o"):
-        path.write_bytes(data)
+    with written(path, "give another -o"), replacement(path) as stream:
+        stream.write(data)

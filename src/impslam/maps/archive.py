@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from impslam.errors import ImpError
-from impslam.paths import is_file, is_folder, written
+from impslam.paths import is_file, is_folder, replacement, written
 
 VERSION = 3
 """Version of the layout; see `layout`. Files of all versions up to this one can be read."""
@@ -45,18 +45,11 @@ def save(path: Path, arrays: Arrays, about: dict[str, Any]) -> Path:
     free = [name for name in arrays if name.startswith(FREE)]
     facts = {"version": VERSION, "about": about, "free": free}
     table = json.dumps(facts, ensure_ascii=False, default=str)
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
     with written(path, "choose another place"):
-        try:
-            with part.open("wb") as stream:
-                header = np.frombuffer(table.encode(), np.uint8)
-                _write(stream, {"about": header, **arrays})
-                stream.flush()
-                os.fsync(stream.fileno())
-            part.replace(path)
-            _sync_folder(path.parent)
-        finally:
-            part.unlink(missing_ok=True)
+        with replacement(path) as stream:
+            header = np.frombuffer(table.encode(), np.uint8)
+            _write(stream, {"about": header, **arrays})
+        _sync_folder(path.parent)
     return path
 
 

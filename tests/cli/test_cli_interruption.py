@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -154,6 +155,18 @@ def slow(*args, **options):
     assert (process.returncode, err) == (130, "imp: interrupted\n")
     assert ("ended" in out) == (signals == 1)
     assert not (tmp_path / "run").exists()
+
+
+def test_a_signal_while_the_command_line_is_imported_is_one_line(tmp_path) -> None:
+    (tmp_path / "cyclopts.py").write_text("raise KeyboardInterrupt")
+    ended = subprocess.run(
+        [sys.executable, "-c", "import impslam.cli"],
+        env={**os.environ, "PYTHONPATH": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (ended.returncode, ended.stderr) == (130, "imp: interrupted\n")
 
 
 @pytest.mark.parametrize("whole", [False, True], ids=["on the way", "at the end"])

@@ -5,8 +5,13 @@ from __future__ import annotations
 import atexit
 import gc
 import os
+import sys
 
-from impslam.cli.app import main
+try:
+    from impslam.cli.app import main
+except KeyboardInterrupt:  # `main` handles it from here on; nothing has been written yet
+    sys.stderr.write("imp: interrupted\n")
+    raise SystemExit(130) from None
 
 __all__ = ["main"]
 

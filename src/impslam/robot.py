@@ -53,7 +53,7 @@ class Robot:
             {n: Reader(f"sensors.{n}", s.consumes, s.stream) for n, s in sensors.items()},
             Reader("odometry.gyro", Imu, odometry.gyro.stream) if fuses else None,
         )
-        self._gyro = GyroFusion(odometry.gyro, odometry.lever)
+        self._gyro = GyroFusion(odometry.gyro, odometry.lever, odometry.standstill_band.angle)
         self._odometry_stream, self._synchroniser = OdometryStream(odometry), Synchroniser()
         self._queue, self._clocks = PendingQueue(), StreamClocks()
         self._holding = Holding({n: getattr(s, "latency", 0.0) for n, s in sensors.items()})

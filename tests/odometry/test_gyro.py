@@ -157,6 +157,43 @@ def test_bias_and_heading_are_consistent():
     assert heading < high  # the error of the bias is taken to last for 20 s, these drives for 9
 
 
+def start(seed, ticks, stand):
+    """(stream, message) of a start with `ticks` per turn, turning at once, and the bias of the gyro."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(round((stand + 0.8) * RATE)) / RATE
+    after = np.maximum(t - stand, 0.0)
+    speeds = np.column_stack([0.5 * after, rng.choice([-2.0, 2.0]) * after])  # m/s^2, rad/s^2
+    bias = rng.normal(0.0, 0.02)
+    rates = speeds[:, 1] + bias + rng.normal(0.0, 6e-4 * math.sqrt(RATE), len(t))
+    offsets = rng.uniform(0.0, 1.0, 2)
+    step = 2.0 * math.pi / ticks
+    messages = []
+    for stream, m in log(speeds, rates=rates):
+        if stream == "wheels":
+            both = step * np.floor(np.array([m.left, m.right]) / step + offsets)
+            messages.append((stream, WheelAngles(m.stamp, *map(float, both))))
+        else:
+            messages.append((stream, m))
+    return messages, bias
+
+
+@pytest.mark.parametrize(("ticks", "stand"), [(60, 0.97), (60, 1.97), (4096, 0.97), (60, 4.2)])
+def test_turning_before_the_first_step_of_the_encoders_is_no_bias(ticks, stand):
+    """NEES over 40 starts (chi-square, 99.9 %): coarse encoders hide the turn at the start."""
+    nees, sigmas = [], []
+    for seed in range(40):
+        messages, bias = start(seed, ticks, stand)
+        robot, _, _ = corrected(messages, "odometry.gyro.proven=true")
+        learned, sigma = robot._gyro.bias
+        nees.append((learned - bias) ** 2 / sigma**2)
+        sigmas.append(sigma)
+    assert np.mean(nees) < stats.chi2.ppf(0.9995, 40) / 40
+    if ticks > 60:
+        assert max(sigmas) < 3e-3  # a short standstill of fine encoders determines it
+    elif stand > 4.0:
+        assert max(sigmas) < 6e-4
+
+
 @pytest.mark.parametrize("rows", [1, 7])
 def test_cutting_the_log_changes_no_byte(rows):
     speeds = drive(8.0)

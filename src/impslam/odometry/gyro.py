@@ -4,9 +4,10 @@ The turn of each motion is corrected by that of the gyro between the same two st
 [x, y, theta] with a scalar measurement. If the two disagree beyond their noise, the wheels slip or
 the robot is pushed: the heading follows the gyro, and the distance becomes as uncertain as the slip.
 
-The gyro's bias is learned while the robot is stationary, when the turn of the wheels is exact. While
-driving it is not: a track that is 10 % off would count as bias in every turn. The gyro is not used until
-its turns have agreed with the wheels in sign and in unit: a log seldom contains how it is mounted.
+The gyro's bias is learned while the robot is stationary, when the turn of the wheels is exact, but for
+what they turn before their encoders' first step. While driving it is not: a track that is 10 % off would
+count as bias in every turn. The gyro is not used until its turns have agreed with the wheels in sign and in
+unit: a log seldom contains how it is mounted.
 """
 
 from __future__ import annotations
@@ -47,13 +48,14 @@ variance of the turn grows per second as if the error were drawn anew after each
 # State: heading (rad), stamp and rate of the newest reading, bias, its variance, heading at the end of the
 # last motion; sums over the window: duration, turns of wheels and gyro, variance; chi-squares of the three
 # relations; time for which the wheels have been stationary (s), heading at its start; variance per second
-# of the wheels' turns.
+# of the wheels' turns; turn and duration of the interval at rest before that, 0 if there is none.
 HEADING, STAMP, RATE, BIAS, BIAS_VARIANCE, LAST_HEADING = range(6)
 DURATION, WHEELS, GYRO, WINDOW_VARIANCE = range(6, 10)
 CHI2_UNRELATED, CHI2_SAME, CHI2_OPPOSITE, STATIONARY_TIME, STATIONARY_HEADING, WHEEL_VARIANCE = (
     range(10, 16)
 )
-STATE_SIZE = 16
+PENDING_TURN, PENDING_TIME = 16, 17
+STATE_SIZE = 18
 
 
 class Gyro(Parameters):
@@ -90,9 +92,12 @@ class Disagreement(NamedTuple):
 class GyroFusion:
     """Corrects the turns of motions by the readings of a gyro, batch by batch."""
 
-    def __init__(self, gyro: Gyro, lever: float) -> None:
-        """`lever` is the distance that the robot moves when a slipping wheel turns it by 1 rad, m."""
-        self._gyro, self._lever = gyro, lever
+    def __init__(self, gyro: Gyro, lever: float, band: float = 0.0) -> None:
+        """`lever` is the distance that the robot moves when a slipping wheel turns it by 1 rad, m.
+
+        `band` is the angle within which odometry counts as stationary, rad; 0: unknown.
+        """
+        self._gyro, self._lever, self._band = gyro, lever, band or math.inf
         self._state = np.zeros(STATE_SIZE)
         self._state[[STAMP, RATE, LAST_HEADING, STATIONARY_HEADING]] = np.nan
         self._state[BIAS_VARIANCE] = gyro.bias**2
@@ -126,7 +131,8 @@ class GyroFusion:
         d_pose, covariance = motions.d_pose.copy(), motions.covariance.copy()
         disagreement = np.full((len(order), 2), np.nan)
         noise = np.array([
-            self._gyro.noise**2, self._gyro.bias_walk**2, self._gyro.scale**2, self._lever**2
+            self._gyro.noise**2, self._gyro.bias_walk**2, self._gyro.scale**2, self._lever**2,
+            self._band,
         ])  # fmt: skip
         inputs = (order, motions.stamps, motions.duration)
         _correct(
@@ -213,29 +219,64 @@ def _close_window(state: Array, disagreement: Array) -> None:
 
 
 @kernel
-def _learn_bias(state: Array, stationary: bool, noise: float, dt: float) -> bool:
-    """Learn the bias of a stationary robot, every `STANDSTILL_TIME`; return whether it is stationary.
+def _learn_bias(state: Array, turn: float, elapsed: float, variance: float) -> None:
+    """Learn the bias from the gyro's turn in `elapsed` s at rest; `variance` is that of the turn."""
+    if elapsed <= 0.0:
+        return
+    error = turn - state[BIAS] * elapsed
+    S = variance + state[BIAS_VARIANCE] * elapsed**2
+    if error**2 <= GATE * S:  # else the robot is being turned
+        gain = state[BIAS_VARIANCE] * elapsed / S
+        state[BIAS] += gain * error
+        state[BIAS_VARIANCE] -= gain * elapsed * state[BIAS_VARIANCE]
 
-    The heading's change over that time is used as a whole: errors of extrapolating it to the end of
-    successive motions cancel.
+
+@kernel
+def _wait(state: Array, noise: float, dt: float) -> bool:
+    """Add a motion of a stationary robot; return whether it has been at rest for `STANDSTILL_TIME`.
+
+    The heading's change over an interval of that length is used as a whole: errors of extrapolating it to
+    the end of successive motions cancel. An interval is used when the next one is complete, because wheels
+    also read stationary until their first step: by then, the robot may have turned.
     """
-    if not stationary:
-        state[STATIONARY_TIME], state[STATIONARY_HEADING] = 0.0, math.nan
-        return False
     state[STATIONARY_TIME] += dt
-    if state[STATIONARY_TIME] < STANDSTILL_TIME:
-        return False
     elapsed = state[STATIONARY_TIME] - STANDSTILL_TIME
-    if elapsed >= STANDSTILL_TIME and math.isfinite(state[STATIONARY_HEADING]):
-        error = state[LAST_HEADING] - state[STATIONARY_HEADING] - state[BIAS] * elapsed
-        S = noise * elapsed + state[BIAS_VARIANCE] * elapsed**2
-        if error**2 <= GATE * S:  # else the robot is being turned
-            gain = state[BIAS_VARIANCE] * elapsed / S
-            state[BIAS] += gain * error
-            state[BIAS_VARIANCE] -= gain * elapsed * state[BIAS_VARIANCE]
-    if elapsed >= STANDSTILL_TIME or math.isnan(state[STATIONARY_HEADING]):
-        state[STATIONARY_TIME], state[STATIONARY_HEADING] = STANDSTILL_TIME, state[LAST_HEADING]
+    if elapsed < 0.0:
+        return False
+    if math.isnan(state[STATIONARY_HEADING]):
+        state[PENDING_TURN], state[PENDING_TIME] = 0.0, 0.0
+    elif elapsed >= STANDSTILL_TIME:
+        _learn_bias(state, state[PENDING_TURN], state[PENDING_TIME], noise * state[PENDING_TIME])
+        state[PENDING_TURN] = state[LAST_HEADING] - state[STATIONARY_HEADING]
+        state[PENDING_TIME] = elapsed
+    else:
+        return True
+    state[STATIONARY_TIME], state[STATIONARY_HEADING] = STANDSTILL_TIME, state[LAST_HEADING]
     return True
+
+
+@kernel
+def _start(state: Array, heading: float, hidden: float, noise: float) -> None:
+    """Use what is left of a standstill that ends at `heading`, in which wheels may hide a turn.
+
+    With fine encoders `hidden`, its largest value, is little, so a short standstill is of use.
+    """
+    if math.isfinite(hidden) and math.isfinite(state[STATIONARY_HEADING]):
+        elapsed = state[PENDING_TIME] + state[STATIONARY_TIME] - STANDSTILL_TIME
+        turn = state[PENDING_TURN] + heading - state[STATIONARY_HEADING]
+        _learn_bias(state, turn, elapsed, noise * elapsed + hidden**2 / 3.0)  # uniform
+    state[STATIONARY_TIME], state[STATIONARY_HEADING] = 0.0, math.nan
+
+
+@kernel
+def _hidden(d_pose: Array, lever2: float, band: float) -> float:
+    """Return the largest turn that the wheels did not show before their first motion (3,).
+
+    Each wheel may have moved by as much as now, but by no more than the band of a standstill, if known.
+    """
+    if lever2 > 0.0:
+        return float(min(band, abs(d_pose[2]) + abs(d_pose[0]) / math.sqrt(lever2)))
+    return band
 
 
 @kernel
@@ -265,7 +306,12 @@ def _fuse(
     state[BIAS_VARIANCE] += noise[1] * dt
     state[WHEEL_VARIANCE] += min(dt / SMOOTHING_TIME, 1.0) * (P[2, 2] / dt - state[WHEEL_VARIANCE])
     stationary = d_pose[0] == 0.0 and d_pose[2] == 0.0 and P[2, 2] == 0.0
-    learning = _learn_bias(state, stationary, noise[0], dt)
+    if stationary:
+        learning = _wait(state, noise[0], dt)
+    else:
+        learning = False
+        hidden = _hidden(d_pose, noise[3], noise[4])
+        _start(state, state[LAST_HEADING] - turn, hidden, noise[0])
     variance = noise[0] * dt + noise[2] * abs(turn)
     if _add_to_window(state, d_pose[2], turn, P[2, 2] + variance, dt):
         _close_window(state, disagreement)

@@ -1,5 +1,6 @@
 """Diagnosis of a drive through the arena with one fault: it finds only that, and its settings fix it."""
 
+import math
 from collections.abc import Iterable
 from dataclasses import replace
 
@@ -9,6 +10,7 @@ from tests import log_faults as faults
 
 from impslam.columns import Batch, Columns, batches
 from impslam.config import load
+from impslam.diagnosis.agreement import drive_axis, fit_agreement
 from impslam.diagnosis.diagnose import diagnose
 from impslam.diagnosis.finding import worst_health
 from impslam.health import MISALIGNED, MISSCALED, MISTIMED, OPPOSED, SOUND
@@ -165,6 +167,22 @@ def test_odometry_at_1_hz_shows_no_lag(drive) -> None:
 def test_stamps_in_ms_are_noted(drive) -> None:
     wrong = list(faults.faulty(drive, lambda c: faults.with_values(c, stamp=1000.0 * c.stamps)))
     assert "stamps in ms" in [one.kind for one in found(wrong)]
+
+
+def test_a_straight_drive_does_not_show_where_the_laser_is(rng) -> None:
+    """Errors of matches are correlated: turned by an angle, a scan also moves along the walls it sees."""
+    off = 3e-4 * rng.standard_normal(50)
+    sideways = -2.9 * off + 1e-4 * rng.standard_normal(50)
+    motions = np.column_stack((np.full(50, 0.4), sideways, off))
+    axis = drive_axis(motions)
+    assert abs(axis.ahead) < 3.0 * math.sqrt(axis.covariance[1, 1])
+    agreed = fit_agreement(motions[:, [0, 2]], np.column_stack((motions[:, :2], 0.0 * off)))
+    assert abs(agreed.turn.p[1] - 1.0) < 3.0 * agreed.turn.sigma[1]
+    motions[:, 1] += 0.2 * np.linspace(-0.3, 0.3, 50)
+    motions[:, 2] += np.linspace(-0.3, 0.3, 50)
+    turning = drive_axis(motions)
+    assert abs(turning.ahead - 0.2) < 0.02
+    assert math.sqrt(turning.covariance[1, 1]) < 0.02
 
 
 def test_a_lost_scan_is_no_long_sweep(drive) -> None:

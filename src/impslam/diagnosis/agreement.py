@@ -11,6 +11,9 @@ in the laser's frame, and how far the laser is ahead of the axle (Censi et al. 2
 odometry):
 
     n . [u, v] = x T,    n a unit vector, x the distance of the laser ahead of the axle.
+
+T has errors too. If the robot hardly turns, it is little else, and so is every factor on it: they are
+allowed for in the standard deviations of b, d and x.
 """
 
 from __future__ import annotations
@@ -20,6 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from impslam.diagnosis.lag import MATCH_ERROR
 from impslam.diagnosis.robust import CLEAR, RobustFit, biweight, fit, robust_sigma, sandwich
 from impslam.types import Array
 
@@ -27,6 +31,9 @@ MIN_STRETCHES = 12
 """Stretches that a fit needs: twice the rows that its robust scale can be wrong about."""
 MIN_SCALE = 0.02
 """Share of the laser's motion below which the sign of odometry's is chance: it creeps while it stands."""
+REACH = 10.0
+"""m: how far a lidar sees in a large room. A match that is off by an angle may be off sideways by that
+times the angle, which looks like a laser so far from the axle."""
 
 
 class Axis(NamedTuple):
@@ -63,11 +70,12 @@ def drive_axis(motions: Array) -> Axis:
         scale = robust_sigma(residuals)
         weights = biweight(residuals, scale)
     forward = np.array([normal[1], -normal[0]])
-    J = np.column_stack((-distance @ forward, -turn))
+    covariance = sandwich(np.column_stack((-distance @ forward, -turn)), residuals, scale)
+    covariance[1, 1] += (REACH * _noise_share(turn, weights)) ** 2
     return Axis(
         math.atan2(forward[1], forward[0]),
         float(normal @ lever),
-        sandwich(J, residuals, scale),
+        covariance,
         float((weights > 0.0).mean()),
     )
 
@@ -108,4 +116,16 @@ class Agreement(NamedTuple):
 
 def fit_agreement(axle: Array, odometry: Array) -> Agreement:
     """Fit odometry's motions (k, 3) to the laser's motions of the axle (k, 2), m and rad."""
-    return Agreement(fit(axle, odometry[:, 0]), fit(axle, odometry[:, 2]))
+    distance, turn = fit(axle, odometry[:, 0]), fit(axle, odometry[:, 2])
+    share = _noise_share(axle[:, 1], np.ones(len(axle)))
+    distance.covariance[1, 1] += (REACH * share) ** 2
+    turn.covariance[1, 1] += (max(abs(turn.p[1]), 1.0) * share) ** 2
+    return Agreement(distance, turn)
+
+
+def _noise_share(turns: Array, weights: Array) -> float:
+    """Return the share of errors in the squares of matched turns (k,).
+
+    A factor on the turns is attenuated by it (errors in variables; Fuller 1987).
+    """
+    return MATCH_ERROR**2 * float(weights.sum()) / (float((weights * turns) @ turns) + 1e-12)

@@ -8,11 +8,16 @@ import numpy as np
 import pytest
 from tests import log_faults as faults
 
+from impslam.calibration.lidar_path import determines_pose, unmounted
+from impslam.calibration.recording import record_batches
 from impslam.columns import Batch, Columns, batches
 from impslam.config import load
 from impslam.diagnosis.agreement import drive_axis, fit_agreement
 from impslam.diagnosis.diagnose import diagnose
+from impslam.diagnosis.evidence import gather_evidence
 from impslam.diagnosis.finding import worst_health
+from impslam.diagnosis.robust import RobustFit
+from impslam.diagnosis.scales import check_scales
 from impslam.health import MISALIGNED, MISSCALED, MISTIMED, OPPOSED, SOUND
 from impslam.simulation.simulate import simulate
 from impslam.simulation.world import load_world
@@ -31,6 +36,22 @@ MATCHED = "tracker.kind=scan_to_map"
 
 def found(drive: Iterable[Batch], *settings: str):
     return diagnose(load("imp", settings), drive, {})
+
+
+def evidence(drive: Iterable[Batch], *settings: str):
+    config = load("imp", settings)
+    return gather_evidence(config, "lidar", record_batches(config, drive, {}, "lidar"))
+
+
+def scan_of(walls: list[tuple[float, float]], x: float, rng) -> Columns:
+    """Return a scan from (x, 0) of a room; walls are (distance, angle) of their normals from the middle."""
+    angles = np.linspace(-math.pi, math.pi, 360, endpoint=False)
+    towards = np.array([[max(math.cos(a - b), 1e-9) for _, b in walls] for a in angles])
+    gaps = np.array([d - x * math.cos(b) for d, b in walls])
+    ranges = (gaps / towards).min(axis=1) + 0.01 * rng.standard_normal(360)
+    scan = LaserScan(0.0, angles, ranges, np.zeros(360))
+    (batch,) = batches([("lidar", scan)])
+    return batch["lidar"]
 
 
 def harm(drive: Iterable[Batch], *settings: str) -> dict:
@@ -183,6 +204,30 @@ def test_a_straight_drive_does_not_show_where_the_laser_is(rng) -> None:
     turning = drive_axis(motions)
     assert abs(turning.ahead - 0.2) < 0.02
     assert math.sqrt(turning.covariance[1, 1]) < 0.02
+
+
+def test_scans_in_a_round_room_do_not_determine_the_turn(rng) -> None:
+    """From the middle of a square room as large, and near its wall, they do."""
+
+    def determined(walls: list[tuple[float, float]], x: float) -> bool:
+        columns = scan_of(walls, x, rng)
+        own = unmounted(load("imp").make_robot().sensors["lidar"])
+        return bool(determines_pose(own.sweeps(columns, np.zeros((1, 3)))).all())
+
+    round_room = [(5.0, 2.0 * math.pi * k / 32.0) for k in range(32)]
+    square_room = [(5.0, 0.5 * math.pi * k) for k in range(4)]
+    for x in (0.0, 2.0, 4.0):
+        assert not determined(round_room, x)
+        assert determined(square_room, x)
+
+
+@pytest.mark.parametrize("turn", [0.05, -0.05])
+def test_no_setting_is_proposed_that_its_parameter_cannot_have(drive, turn) -> None:
+    e = evidence(drive, "odometry.track=0.01")
+    odd = e.agreement._replace(turn=RobustFit(np.array([0.0, turn]), 1e-8 * np.eye(2)))
+    for finding in check_scales(replace(e, agreement=odd)):
+        assert finding.fix == ()
+        assert "no setting" in finding.advice
 
 
 def test_a_lost_scan_is_no_long_sweep(drive) -> None:

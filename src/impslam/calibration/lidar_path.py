@@ -13,12 +13,18 @@ from impslam.health import NONE
 from impslam.odometry.lidar_only import LidarOnly
 from impslam.robot import Robot
 from impslam.sensors.lidar2d import Lidar2D
+from impslam.surfaces.features import beam_spacing, find_features
 from impslam.tracking.base import Gate
 from impslam.tracking.scan_to_map import ScanToMap
 from impslam.types import Array, Ints, Mask
 
 MAX_MISMATCHES, CHUNK = 5, 100
 """Consecutive scans that do not fit, after which the tracker restarts; and sweeps per tracker call."""
+MIN_INFORMATION = 0.02
+"""Smallest information per point of a scan on the weakest combination of x, y and turn; 1 at most. In a
+round room with a box it is 0.01, by normals that are off by 0.1 rad; in rooms with corners 0.03 to 0.2."""
+THIN = 0.04
+"""m between points whose normals are counted, as in scan matching."""
 NO_LIMIT = 1e9
 """m, rad, s: a gate so wide that only the first sweep becomes a keyframe."""
 
@@ -31,8 +37,8 @@ class LidarPath(NamedTuple):
     middles : (n,) s, by the scans' own clock
     poses : (n, 3) `T_first_laser`, as tracked
     trusted : (n,) whether the scan fits the previous ones, so that the pose may be used
-    located : (n,) whether the scan also determines the position along both axes: not in a bare
-        corridor
+    located : (n,) whether the scan also determines the position along both axes, and the turn: not in a
+        bare corridor, nor in a round room
     twists : (n, 3) m/s, m/s, rad/s, body velocity of the lidar over each sweep
     """
 
@@ -96,10 +102,34 @@ class _Follower:
             lost = np.convolve(~trusted, np.ones(MAX_MISMATCHES), "valid") == MAX_MISMATCHES
             self._restarted = bool(lost.any())
             end = int(np.argmax(lost)) + MAX_MISMATCHES if self._restarted else len(trusted)
-            yield _Followed(steps.moved[:end], trusted[:end], steps.located[:end])
+            assert sweeps.scans is not None
+            determined = determines_pose(sweeps.scans.take(slice(begin, begin + end)))
+            yield _Followed(steps.moved[:end], trusted[:end], steps.located[:end] & determined)
             begin += end
             if self._restarted:
                 self._tracker = ScanToMap()
+
+
+def determines_pose(scans: Scans) -> Mask:
+    """Return (m,) whether the surfaces in each scan determine all of x, y and the heading.
+
+    With lengths in units of the mean distance of the surfaces, a turn counts as much as a shift. The
+    normals n of surfaces at p have the information J^T J, J = [n, p x n]; in a round room, all of it about
+    the turn around the centre comes from errors of the normals, which move a scan just as well.
+    """
+    spacing, found = beam_spacing(scans.angles), np.empty((scans.points.shape[1], 5), np.float32)
+    weakest = np.zeros(len(scans.stamps))
+    for k in range(len(weakest)):
+        count = find_features(
+            scans.points[k], scans.valid[k], scans.ranges[k], scans.origins[k], spacing, THIN, found
+        )
+        rows = found[:count][found[:count, 4] > 0.0].astype(np.float64)
+        if len(rows):
+            p, n = rows[:, :2], rows[:, 2:4]
+            lever = (p[:, 0] * n[:, 1] - p[:, 1] * n[:, 0]) / np.sqrt((p**2).sum(axis=1).mean())
+            J = np.column_stack((n, lever))
+            weakest[k] = np.linalg.eigvalsh(J.T @ J / len(rows))[0]
+    return weakest > MIN_INFORMATION
 
 
 def chain(motions: Array) -> Array:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
+from pydantic import ValidationError
 
 from impslam.diagnosis.agreement import Agreement, fit_agreement
 from impslam.diagnosis.evidence import Evidence
@@ -60,6 +61,8 @@ def _scales(e: Evidence, agreed: Agreement) -> Iterator[Finding]:
     if not any(is_off(*test) for test in tests):
         return
     kind, fix, advice = _attribute_error(e, agreed)
+    if not _are_possible(e.odometry, fix):
+        fix, advice = (), NO_FIX
     factor = MATCHING_FACTOR if e.matches_scans else 1.0
     yield Finding(
         kind,
@@ -121,6 +124,17 @@ def _attribute_error(e: Evidence, agreed: Agreement) -> tuple[str, tuple[str, ..
     return kind, wheels[:1] if misfits[kind] < SIGMAS else wheels, ""
 
 
+def _are_possible(odometry: Odometry, fix: tuple[str, ...]) -> bool:
+    """Return whether the settings of odometry are within the limits of its parameters."""
+    pairs = (one.removeprefix("odometry.").split("=") for one in fix if one.startswith("odometry."))
+    changes = {name: float(value) for name, value in pairs}
+    try:
+        type(odometry).model_validate({**odometry.model_dump(), **changes})
+    except ValidationError:
+        return False
+    return True
+
+
 def _alternative(settings: tuple[str, ...], otherwise: str) -> str:
     """Return the words for other settings that may be meant."""
     return f"or {' '.join(f'--set {one}' for one in settings) or otherwise}"
@@ -157,6 +171,7 @@ def _unequal(e: Evidence, agreed: Agreement) -> Iterator[Finding]:
         half, a = 0.5 * e.odometry.track * pull, float(agreed.distance.p[0])
         ratio = e.odometry.right_left_ratio * (a - half) / (a + half)
         fix = (f"odometry.right_left_ratio={ratio:.4f}",)
+        fix = fix if _are_possible(e.odometry, fix) else ()
     elif isinstance(e.odometry, OdometryPoses):
         turn = e.odometry.turn_per_metre - pull * e.odometry.distance_scale
         fix = (f"odometry.turn_per_metre={turn:.4f}",)

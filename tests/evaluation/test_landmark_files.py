@@ -63,6 +63,12 @@ def test_errors_name_the_problem_and_the_landmark(tmp_path, text, why):
         read(tmp_path, text)
 
 
+def test_a_world_without_landmarks_is_preserved(tmp_path):
+    path = tmp_path / "truth.landmarks.csv"
+    write_true_landmarks(path, [])
+    assert read_true_landmarks(path) == []
+
+
 def test_a_missing_file_is_one_line(tmp_path):
     with pytest.raises(ImpError, match="cannot be read"):
         read_true_landmarks(tmp_path / "none.csv")

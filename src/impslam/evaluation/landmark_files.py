@@ -53,6 +53,8 @@ def write_true_landmarks(path: Path, landmarks: Iterable[TrueLandmark]) -> None:
 def read_true_landmarks(path: Path) -> list[TrueLandmark]:
     """Read true landmarks. The default name is the row number, the default kind is point.
 
+    A table with all `COLUMNS` may be empty: a simulation writes it of a world without landmarks.
+
     Raises
     ------
     ImpError
@@ -60,10 +62,11 @@ def read_true_landmarks(path: Path) -> list[TrueLandmark]:
     """
     try:
         with path.open(newline="", encoding="utf-8-sig") as stream:
-            rows = list(csv.DictReader(stream, strict=True))
+            table = csv.DictReader(stream, strict=True)
+            rows, columns = list(table), tuple(table.fieldnames or ())
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise ImpError(f"{path}: cannot be read as a table ({error}); check the path") from None
-    if not rows:
+    if not rows and columns != COLUMNS:
         raise ImpError(f"{path}: contains no landmark; it needs the columns {','.join(COLUMNS)}")
     landmarks = [_landmark(row, number, path) for number, row in enumerate(rows, 1)]
     twice = [name for name, n in Counter(mark.name for mark in landmarks).items() if n > 1]

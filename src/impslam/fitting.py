@@ -10,7 +10,7 @@ from impslam.config import Config, merge
 from impslam.errors import SourceError
 from impslam.robot import Robot
 from impslam.sources.base import Mount, Source
-from impslam.types import LaserScan, SatelliteFix, WheelAngles
+from impslam.types import LaserScan, SatelliteFix, Velocity, WheelAngles
 
 MAX_TILT = math.radians(5.0)
 """rad: beyond it, ranges to walls are more than 0.4 % too long, and beams from a height of 0.2 m hit the
@@ -21,8 +21,9 @@ MIN_REPORTED_TILT = math.radians(0.5)
 def fitted(config: Config, source: Source, *, odometry_is_free: bool) -> Config:
     """Return the config, completed with the mounts from the log.
 
-    The source must be open, or have been open. A log without odometry is mapped with the lidar alone if
-    `odometry_is_free`, i.e. if the user has not chosen an odometry.
+    The source must be open, or have been open. If `odometry_is_free`, i.e. if the user has not chosen an
+    odometry, velocities are used in a log that has no other, and one without any is mapped with the lidar
+    alone.
 
     Raises
     ------
@@ -48,7 +49,7 @@ def fitted(config: Config, source: Source, *, odometry_is_free: bool) -> Config:
     source.watch_mounts(fixed)
     changes: dict[str, Any] = {"sensors": sensors, "landmarks": _with_antenna(config, source)}
     if odometry_is_free and _lacks_odometry(config, source):
-        changes["odometry"] = {"kind": "lidar_only"}
+        changes["odometry"] = {"kind": _other_odometry(source)}
         if hint := source.unknown_odometry():
             source.problems.add("unknown odometry", f"{source.path}: {hint}")
     return config.model_copy(update=changes)
@@ -174,6 +175,11 @@ def _lacks_odometry(config: Config, source: Source) -> bool:
         return False
     wanted = config.make_robot().odometry.consumes
     return not any(issubclass(kind, wanted) for kind in kinds)
+
+
+def _other_odometry(source: Source) -> str:
+    """Return the kind of odometry for a log without poses: velocities need no parameter, wheels do."""
+    return "velocity" if Velocity in (source.kinds() or ()) else "lidar_only"
 
 
 def _refuse_tilted(source: Source, name: str, stream: str, mount: Mount) -> None:

@@ -10,6 +10,7 @@ from tests.sources.logs import read
 import impslam
 from impslam.cli import main
 from impslam.errors import SourceError
+from impslam.fitting import choices
 from impslam.open_log import open_log
 from impslam.simulation.robot import Lidar, SimulatedRobot, WheelEncoders
 from impslam.simulation.simulate import simulate
@@ -298,6 +299,15 @@ def test_a_csv_log_is_mapped(tmp_path: Path, capsys: pytest.CaptureFixture[str])
         for stamp, *pose in known.path():
             nearest = min(truth, key=lambda t: abs(t - stamp))
             assert math.dist(pose[:2], truth[nearest][:2]) < 0.01
+
+
+def test_speeds_and_turn_rates_are_odometry(tmp_path: Path) -> None:
+    path = log(tmp_path, "t,speed,turn_rate,0,1,2", "0,1,0.2,0.5,4,5", "1,1,0.2,0.5,4,5")
+    config, source = open_log(path)
+    assert config.odometry == {"kind": "velocity"}
+    assert "odometry velocity" in choices(config, source)
+    config, _ = open_log(path, settings=["odometry.kind=lidar_only"])
+    assert config.odometry["kind"] == "lidar_only"
 
 
 @pytest.mark.parametrize("names", ["px,py,phi", "x,y,phi", "odometry_left,odometry_right,seq"])

@@ -100,6 +100,22 @@ def test_an_estimator_that_cannot_go_on_gives_way_to_one_that_can(drive, whole):
         impslam.Slam("imp", ["estimator.kind=landmarks"], known=whole)
 
 
+@pytest.mark.parametrize("stop", [150, 300])
+def test_an_estimator_that_cannot_go_on_leaves_all_that_it_has_seen(drive, stop, tmp_path):
+    """Its keyframes are closer together than those of the graph that continues the map."""
+    settings = ["odometry.kind=odometry_pose", "sensors.lidar.range_max=20"]
+    part = mapped(drive, slice(stop), config="imp", settings=settings)
+    part = Map.load(part.save(tmp_path / "part.imp"))
+    again = mapped(drive, slice(None), config="imp", settings=settings, known=part)
+    assert len(again.stamps) == len(drive[0])
+    np.testing.assert_array_equal(again.stamps[:stop], part.stamps)
+    assert again.keyframes.sessions.max() == 0
+    assert again.keyframes.placed.all()
+    off = wrapped(again.path()[:, 1:] - between(drive[0][0], drive[0]), 2)
+    assert np.abs(off).max() < 0.25  # the graph has 0.17 with this lidar
+    assert len(again.landmarks) >= len(part.landmarks) > 4
+
+
 def test_a_robot_that_is_carried_elsewhere_is_found_again(drive, whole):
     """Odometry does not tell that it was."""
     poses, ranges = drive

@@ -2,7 +2,8 @@
 
 If the first scans of a log equal the last ones of the map, by stamps and odometry, the map was made from
 this log. These scans are tracked again, which costs little and restores the state of the tracker; the run
-then continues as if it had never stopped. Other logs begin a session, which must be located in the map.
+then continues as if it had never stopped, also if its keyframes are others than those of the map. Other
+logs begin a session, which must be located in the map.
 """
 
 from __future__ import annotations
@@ -16,7 +17,8 @@ import numpy as np
 
 from impslam.component import shorten
 from impslam.errors import ConfigError
-from impslam.geometry.se2 import between
+from impslam.geometry.kernels import plain
+from impslam.geometry.se2 import between, compose, compose_uncertain, inverse
 from impslam.map import Map, Track
 from impslam.types import Array
 
@@ -52,12 +54,15 @@ class Continuation:
     def __init__(self, known: Known | None = None) -> None:
         self._next_id = 0 if known is None else len(known.map.keyframes)
         self._id_shift: int | None = None if self._next_id else 0
-        self._first = 0  # the first keyframe of the map's newest log
         self._stamps, self._odometry = np.empty(0), np.empty((0, 3))  # scans of that log in the map
         self._start: Array | None = None  # odometry of the first scan of this run's log
         self._count = 0  # scans that are in the map already
         self._is_same_log = False
         self._awaits_keyframe = False  # the first one of a new session
+        self._map = None if known is None else known.map
+        # the newest repeated keyframe: its scan among those of the log, and the motion to its stamp
+        self._newest: tuple[int, Array] | None = None
+        self._T_known_newest: Array | None = None  # from the map's newest keyframe, if they differ
         if known is not None and not known.frozen:
             self._expect(known.map)
 
@@ -66,7 +71,7 @@ class Continuation:
         scans = min(len(known.stamps), int(logs_of(known)[-1]["scans"]))
         if scans:
             begin = len(known.stamps) - scans
-            self._stamps, self._first = known.stamps[begin:], int(known.anchors[begin])
+            self._stamps = known.stamps[begin:]
             odometry = known.odometry_poses[begin:]
             self._odometry = between(odometry[0], odometry)
 
@@ -74,6 +79,11 @@ class Continuation:
     def repeated(self) -> int:
         """Number of scans of the log that are in the map already; 0 for another log."""
         return self._count if self._is_same_log else 0
+
+    @property
+    def unused(self) -> int:
+        """Number of first scans of another log that are not used, because they equal those of the map."""
+        return 0 if self._is_same_log or self._id_shift is None else self._count
 
     @property
     def refusal(self) -> str:
@@ -90,6 +100,8 @@ class Continuation:
         if self._id_shift is None:
             begin = self._repeated(track)
             if begin == len(track.stamps) + (track.keyframe is not None):
+                if track.keyframe is not None:
+                    self._newest = self._count - 1, track.keyframe.T_keyframe_stamp
                 return None
             self._decide(track.anchor + 1)
         return self._numbered(track, begin)
@@ -116,15 +128,20 @@ class Continuation:
     def _decide(self, keyframes: int) -> None:
         """Decide whether the log is the map's own, after its first `keyframes` keyframes."""
         self._id_shift = self._next_id - keyframes
-        has_same_ids = self._id_shift == self._first
-        self._is_same_log = 0 < self._count == len(self._stamps) and has_same_ids
+        self._is_same_log = 0 < self._count == len(self._stamps)
         self._awaits_keyframe = not self._is_same_log
+        if self._is_same_log and self._map is not None and self._newest is not None:
+            self._T_known_newest = _from_newest(self._map, len(self._stamps), *self._newest)
 
     def _numbered(self, track: Track, begin: int) -> Track | None:
         """Return a track without its first `begin` rows, with the keyframe ids of the map."""
         assert self._id_shift is not None
         if self._id_shift == 0 and begin == 0 and not self._awaits_keyframe:
             return track
+        if self._T_known_newest is not None:
+            track = _from(self._T_known_newest, track)
+            if track.keyframe is not None:
+                self._T_known_newest = None
         keyframe = track.keyframe
         if keyframe is not None:
             keyframe = replace(
@@ -137,6 +154,39 @@ class Continuation:
                 return None
             self._awaits_keyframe, begin = False, len(track.stamps)
         return _cut(replace(track, anchor=track.anchor + self._id_shift, keyframe=keyframe), begin)
+
+
+def _from_newest(known: Map, scans: int, scan: int, T_keyframe_stamp: Array) -> Array | None:
+    """Return the motion (3,) from a map's newest keyframe to one of its last `scans` scans.
+
+    The scan is a keyframe of another gate, whose stamp is at `T_keyframe_stamp` (3,). None if it is the
+    newest keyframe itself.
+    """
+    row, newest = len(known.stamps) - scans + scan, len(known.keyframes) - 1
+    anchor = int(known.anchors[row])
+    if anchor == newest and known.keyframes.stamps[newest] == known.stamps[row]:
+        return None
+    T = np.zeros(3)
+    for k in range(anchor + 1, newest + 1):
+        T = compose(T, known.keyframes.motions[k])
+    return between(T, compose(known.tracked[row], inverse(T_keyframe_stamp)))
+
+
+def _from(T: Array, track: Track) -> Track:
+    """Return a track relative to another keyframe, from which its own is at T (3,).
+
+    The covariances stay those from its own one: the keyframes are less than a metre apart.
+    """
+    none, keyframe = np.zeros((3, 3)), track.keyframe
+    if keyframe is not None:
+        motion = keyframe.motion
+        moved = plain(motion.d_pose), plain(motion.covariance)
+        d_pose, covariance = compose_uncertain(T, none, *moved)
+        motion = replace(motion, d_pose=d_pose, covariance=covariance)
+        keyframe = replace(keyframe, motion=motion)
+    moved = plain(track.T_anchor_base), plain(track.covariance)
+    poses, covariances = compose_uncertain(T, none, *moved)
+    return replace(track, T_anchor_base=poses, covariance=covariances, keyframe=keyframe)
 
 
 def logs_of(known: Map) -> list[dict[str, Any]]:

@@ -321,6 +321,8 @@ class Run:
                 f"{source.path}: could not be located in the map; give its approximate start with --start "
                 "x,y, or a log with some 10 m of driving inside the mapped area"
             )
+        if unused := self._continuation.unused:
+            self.problems.add("scans of the map", _EQUAL, unused)
         if pending := self.estimator.counts().get("sessions not found", 0):
             self.problems.add("session", _PENDING, pending)
 
@@ -414,6 +416,10 @@ class Run:
         )
 
 
+_EQUAL = (
+    "stamps and odometry of the first scans are those of scans in the map, as if this were its log; "
+    "they are not used, although later ones differ"
+)
 _PENDING = (
     "could not be located in the map; its scans are kept in map.imp but are not part of the map: "
     "continue the map with a log that drives from known places into this one"

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from tests.maps.drawn import mapped
 from tests.recognition.plans import OFFICE
+from tests.registry import own_registry
 
 import impslam.cli.config
 import impslam.cli.reproduce
@@ -379,7 +380,8 @@ class Broken(Circle):
         "--set",
         "sensors.lidar.extractors.mine.kind=broken",
     )
-    said = imp("run", room, "-c", "imp", "-o", tmp_path / "run", *parts)
+    with own_registry():
+        said = imp("run", room, "-c", "imp", "-o", tmp_path / "run", *parts)
     named = f"KeyError: 'walls'; raised by extractor 'broken' of the plug-in {plug_in}, line 7"
     fails(said, named, code=1)
 

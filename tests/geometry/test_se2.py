@@ -172,3 +172,13 @@ def test_uncertain_composition_carries_covariances_by_the_jacobians(rng):
 
 def test_rotation_is_counter_clockwise():
     np.testing.assert_allclose(rotation(math.pi / 2) @ [1.0, 0.0], [0.0, 1.0], atol=1e-15)
+
+
+@pytest.mark.parametrize("m", [1, 2])
+def test_one_covariance_serves_all_poses_of_a_batch(rng, m):
+    T, poses, P, Q = rng.normal(size=3), rng.normal(size=(m, 3)), np.eye(3), 2.0 * np.eye(3)
+    moved, covariance = compose_uncertain(T, P, poses, Q)
+    for k in range(m):
+        one, of_one = compose_uncertain(T, P, poses[k], Q)
+        np.testing.assert_array_equal(moved[k], one)
+        np.testing.assert_array_equal(covariance[k], of_one)

@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import PrivateAttr
 
 from impslam.association.base import Assignment, Association
+from impslam.building.sightings import SightingsLog
 from impslam.component import parameter, register
 from impslam.errors import NumericalError
 from impslam.estimators.base import MIN_SIGMA, Estimator, check_keyframe, is_finite
@@ -56,6 +57,8 @@ class Landmarks(Estimator):
     _refused: RefusedFixes = PrivateAttr(default_factory=RefusedFixes)
     _duplicates: Duplicates = PrivateAttr(default_factory=Duplicates)
     _counts: Counter[str] = PrivateAttr(default_factory=Counter)
+    _sightings: SightingsLog = PrivateAttr(default_factory=SightingsLog)
+    """The observations of all keyframes, from which `graph` continues the map."""
 
     def start(
         self,
@@ -75,6 +78,7 @@ class Landmarks(Estimator):
 
     def add(self, keyframe: Keyframe) -> Revision:
         """Process a keyframe; see `Estimator.add`."""
+        self._sightings.add(keyframe.observations, keyframe.stamp)
         self._motion = keyframe.motion
         try:
             return self._add(keyframe)
@@ -191,6 +195,10 @@ class Landmarks(Estimator):
             else:
                 self._filter.predict(Increment(now, np.zeros(3), error.covariance))
                 self._counts["poses doubted as refused GPS fixes agree"] += 1
+
+    def observations(self) -> tuple[tuple[Observation, ...], ...]:
+        """Return the observations of each keyframe; see `Estimator.observations`."""
+        return self._sightings.by_keyframe()
 
     def counts(self) -> Mapping[str, int]:
         """Return the counts of fused landmarks, slips, and corrections by refused GPS fixes."""

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from impslam.geometry.angles import wrap_in_kernel
-from impslam.geometry.kernels import kernel
+from impslam.geometry.kernels import kernel, plain
 
 Array = npt.NDArray[np.float64]
 
@@ -123,7 +123,7 @@ def _matrices(P: Array, shape: tuple[int, ...]) -> Array:
         return P.reshape(1, 3, 3)
     if P.shape != (*shape, 3):
         P = np.broadcast_to(P, (*shape, 3))
-    return np.ascontiguousarray(P, dtype=np.float64).reshape(-1, 3, 3)
+    return plain(P).reshape(-1, 3, 3)
 
 
 @kernel

@@ -166,6 +166,14 @@ def test_a_hint_shortens_the_drive_that_locates_a_session(drive, whole):
     assert not mapped(drive, short, late=1000.0, known=whole).keyframes.placed.all()
 
 
+@pytest.mark.parametrize("dof", [2, 3])
+def test_a_wrong_hint_excludes_the_true_place(drive, whole, dof):
+    """The drive is longer than the hint is off, so the robot passes the hinted place."""
+    hint = (whole.path()[170, 1:] + [0.0, 8.0, 0.0])[:dof]
+    known = mapped(drive, slice(170, 290), late=1000.0, known=whole, hint=hint)
+    assert not known.keyframes.placed.all()
+
+
 def test_a_hint_is_about_the_first_session_only(drive, whole):
     """After the robot was carried, it is searched for everywhere."""
     poses, ranges = drive

@@ -6,13 +6,14 @@ of the graph verifies it, and `sessions` accepts it once several agree.
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from impslam.estimators.keyframe_log import KeyframeLog, revised
 from impslam.estimators.pose_graph import PoseGraph
-from impslam.geometry.se2 import between, compose
+from impslam.geometry.se2 import between, compose, inverse
 from impslam.types import Array
 
 if TYPE_CHECKING:
@@ -70,9 +71,10 @@ class SessionFinder:
         poses = keys.chain[[row for row, view in zip(rows, views, strict=True) if view is not None]]
         near = self._near(keys)
         answer = self._map.find_query(query(scans, poses), near)
-        if not answer.hypotheses:
+        allowed = (h for h in answer.hypotheses if self._begins_near_hint(h.pose, keys))
+        best = next(allowed, None)
+        if best is None:
             return None
-        best = answer.hypotheses[0]
         pose = compose(best.pose, between(keys.chain[-1], keys.chain[keys.nodes[node]]))
         return Guess(pose, best.odds >= MIN_ODDS, near is not None)
 
@@ -82,9 +84,22 @@ class SessionFinder:
 
         if self._hint is None:
             return None
-        first = int(np.searchsorted(keys.sessions, keys.sessions[-1]))
-        motion = between(keys.chain[first], keys.chain[-1])
-        distance = float(keys.distance[-1] - keys.distance[first])
+        motion, distance = _driven(keys)
         if len(self._hint) == 2:
             return Near(self._hint, HINT_RADIUS + distance)
         return Near(compose(self._hint, motion), HINT_RADIUS + HINT_DRIFT * distance)
+
+    def _begins_near_hint(self, pose: Array, keys: KeyframeLog) -> bool:
+        """Return whether the session began near the hint, if the newest keyframe is at a pose (3,)."""
+        if self._hint is None:
+            return True
+        motion, distance = _driven(keys)
+        start = compose(pose, inverse(motion))
+        return math.dist(start[:2], self._hint[:2]) <= HINT_RADIUS + HINT_DRIFT * distance
+
+
+def _driven(keys: KeyframeLog) -> tuple[Array, float]:
+    """Return the motion (3,) in the newest session so far, and its length, m."""
+    first = int(np.searchsorted(keys.sessions, keys.sessions[-1]))
+    distance = float(keys.distance[-1] - keys.distance[first])
+    return between(keys.chain[first], keys.chain[-1]), distance

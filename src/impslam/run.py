@@ -260,7 +260,9 @@ class Run:
         """Return the current map; later data do not change it."""
         estimator = self.estimator
         known = self._builder.map(estimator.landmarks(), about, estimator.edges())
-        return replace(known, observations=estimator.observations(), belief=estimator.belief())
+        # after an error, the estimator may have a keyframe that the map has not
+        seen = estimator.observations()[: len(known.keyframes)]
+        return replace(known, observations=seen, belief=estimator.belief())
 
     def settled(self) -> Map:
         """Return the map with all keyframes refined jointly, which may take seconds."""
@@ -352,8 +354,7 @@ class Run:
             known = self.map()
             inside = np.maximum(known.edges.i, known.edges.j) < len(known.keyframes)
             edges = Edges._make(column[inside] for column in known.edges)
-            seen = known.observations[: len(known.keyframes)]
-            return replace(known, edges=edges, observations=seen)
+            return replace(known, edges=edges)
         return self._builder.map(())
 
     def _finish_observers(self, source: Source, known: Map, partial: str = "") -> Map:

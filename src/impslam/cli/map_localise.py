@@ -47,6 +47,7 @@ def localise(  # noqa: PLR0913  # each is an option that a user may give
     from impslam.cli.comparison_json import write_json
     from impslam.cli.job import all_settings
     from impslam.cli.map_work import progress_line, result_folder, write_bytes
+    from impslam.cli.run_folder import log_stem
     from impslam.localisation import localise as located
     from impslam.map import Map
     from impslam.maps.files import map_image
@@ -55,9 +56,7 @@ def localise(  # noqa: PLR0913  # each is an option that a user may give
 
     quiet = common is not None and common.quiet
     changes = all_settings(settings, topics)
-    name = log.resolve().name.split(".")[0] or "log"
-    stem = f"{name}-places-{time.strftime('%Y%m%d-%H%M%S')}"
-    folder = output or Path("runs") / stem
+    folder = output or Path("runs") / f"{log_stem(log)}-places-{time.strftime('%Y%m%d-%H%M%S')}"
     keep_inputs([file, log], [folder / one for one in FILES])
     known = Map.load(file)
     with progress_line("localising", quiet) as progress:

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from contextlib import AbstractContextManager
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 from cyclopts import Parameter
 
@@ -43,12 +43,15 @@ figures, in the order of the report."""
 ALL = "all"
 
 
+Runs: TypeAlias = Annotated[
+    int | None,
+    Parameter(help="Simulated runs per experiment. Default: a few.", converter=whole_number),
+]
+
+
 def reproduce(
     *experiments: str,
-    seeds: Annotated[
-        int | None,
-        Parameter(help="Simulated runs per experiment. Default: a few.", converter=whole_number),
-    ] = None,
+    seeds: Runs = None,
     full: Annotated[
         bool,
         Parameter(

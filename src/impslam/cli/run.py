@@ -134,34 +134,29 @@ def run(  # noqa: PLR0913  # each is an option that a user may give
     with Interruption() as interruption:
         from impslam.cli.job import all_settings, execute
         from impslam.cli.replay import replay
-        from impslam.cli.run_folder import run_folder
+        from impslam.cli.run_folder import log_stem, run_folder
         from impslam.observers.ending import EndOfRun
         from impslam.open_log import open_log
 
         interruption.check()
         changes = all_settings(settings, topics, columns, seed)
         page, end, quiet = page or LivePage(), EndOfRun(), common is not None and common.quiet
-        known_map = None
-        if continuation is not None:
-            outputs = [] if exports is None else exports.files()
-            known_map = continuation.known(live=page.live, outputs=outputs)
+        exports, continuation = exports or Exports(), continuation or ContinuationOptions()
+        known_map = continuation.known(live=page.live, outputs=exports.files())
         chosen, source = open_log(log, config, changes)
         interruption.check()
         if known_map is not None:
             chosen = _continuing_config(chosen, changes, quiet=quiet)
-        player = partial(replay, port=page.port, quiet=quiet) if page.live else None
-        with run_folder(
-            output, source.path.resolve().name.split(".")[0] or "log", force=force
-        ) as folder:
-            health = _first_look(chosen, source, config, quiet=quiet)
+        with run_folder(output, log_stem(source.path), force=force) as folder:
             known = execute(
                 chosen, source, folder, quiet or page.live,
-                more=[end], player=player, known_map=known_map, exports=exports, health=health,
-                interruption=interruption,
+                more=[end], known_map=known_map, exports=exports, interruption=interruption,
+                player=partial(replay, port=page.port, quiet=quiet) if page.live else None,
+                health=_first_look(chosen, source, config, quiet=quiet),
             )  # fmt: skip
         if not quiet and end.outcome is not None:
             show_result(known, end.outcome, output or folder, with_speed=not page.live)
-            for line in () if exports is None else exports.lines():
+            for line in exports.lines():
                 console.echo(line)
 
 

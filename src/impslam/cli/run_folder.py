@@ -114,6 +114,11 @@ def _kept(folder: Path, results: Set[str], error: BaseException) -> str:
     return f"{folder} contains {', '.join(sorted(useful))}"
 
 
+def log_stem(log: Path) -> str:
+    """Return the name of a log without its endings."""
+    return log.resolve().name.split(".")[0] or "log"
+
+
 def _is_partial(file: Path) -> bool:
     """Return whether a map is one of a part of a log; that of a run whose export failed is not."""
     from impslam.maps.archive import about  # only needed here

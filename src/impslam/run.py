@@ -418,8 +418,8 @@ class Run:
 
 
 _EQUAL = (
-    "stamps and odometry of the first scans are those of scans in the map, as if this were its log; "
-    "they are not used, although later ones differ"
+    "the first scans have the stamps and the odometry of scans in the map, and are not used; the later "
+    "ones differ, so this is another log than that of the map"
 )
 _PENDING = (
     "could not be located in the map; its scans are kept in map.imp but are not part of the map: "

@@ -1,6 +1,7 @@
 """Scans matched with the last metres: exact motion, learned odometry, consistent covariances."""
 
 import math
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -10,7 +11,7 @@ from tests.tracking.sweeps import motions_of, steps, sweeps_of
 
 from impslam.geometry.algebra import invert, solve
 from impslam.geometry.se2 import between, compose
-from impslam.health import OPEN, SLIPPED
+from impslam.health import NONE, OPEN, PUSHED, SLIPPED
 from impslam.noise import UNKNOWN, MotionNoise
 from impslam.tracking.base import KeyframeGate
 from impslam.tracking.learned_odometry import START
@@ -233,6 +234,53 @@ def test_backing_up_that_is_logged_as_forward_is_followed():
     ]
     _, _, off = drive(poses, increments, scans_from(poses))
     assert_near(off, 0.06, 0.03)
+
+
+def with_pillars(*positions):
+    """Return the lines of pillars that stand out 0.5 m from both walls of the corridor."""
+    frames = [
+        [
+            [[x, y], [x, 0.5 * y]],
+            [[x, 0.5 * y], [x + 0.3, 0.5 * y]],
+            [[x + 0.3, 0.5 * y], [x + 0.3, y]],
+        ]
+        for x in positions
+        for y in (1.0, -1.0)
+    ]
+    return np.concatenate((CORRIDOR, *frames))
+
+
+def frozen(poses, first, last):
+    """Return the motions of odometry that stands still from one scan to another."""
+    still = Increment(0.0, np.zeros(3), np.zeros((3, 3)), PERIOD)
+    return [
+        replace(still, stamp=i.stamp) if first <= k < last else i
+        for k, i in enumerate(odometry_of(poses))
+    ]
+
+
+def test_a_robot_whose_odometry_freezes_goes_on_through_a_bare_corridor(rng):
+    """The scans show that it moves up to the last pillar; there is nothing to see on the next 3 m."""
+    poses = straight(200, start=(-4.0, 0.1, 0.0))
+    walls = with_pillars(-4.0, -2.5, -1.0)
+    scans = scans_from(poses, walls, **BARE, noise=0.01, rng=rng)
+    _, out, off = drive(poses, frozen(poses, 30, 150), scans)
+    assert not out.located[110:150].any()
+    assert (out.reasons[50:150] != NONE).mean() > 0.9
+    assert np.abs(off[:, 0]).max() < 0.6
+    assert np.abs(np.diff(off[155:, 0])).max() < 0.02
+
+
+def test_odometry_that_froze_in_a_bare_corridor_is_noticed_at_the_next_pillar(rng):
+    """It may have been frozen since it stopped, so the covariance includes the motion since then."""
+    poses = straight(140, start=(0.0, 0.1, 0.0))
+    scans = scans_from(poses, with_pillars(5.0, 7.0), **BARE, noise=0.01, rng=rng)
+    _, out, off = drive(poses, frozen(poses, 10, 100), scans)
+    assert off[50, 0] < -2.0
+    assert (out.reasons[85:100] == PUSHED).any()
+    spread = ends(out)[1]
+    assert off[-1, 0] ** 2 < 9.0 * spread[0, 0]
+    assert np.abs(np.diff(off[90:, 0])).max() < 0.05
 
 
 @pytest.mark.parametrize(

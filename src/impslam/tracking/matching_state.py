@@ -41,6 +41,22 @@ class LidarState(NamedTuple):
     past: PastScans
 
 
+class FrozenOdometry(NamedTuple):
+    """Whether odometry stands still while the robot moves.
+
+    Attributes
+    ----------
+    is_frozen : (1,) whether it does
+    distance : (1,) m that the robot may have gone since it last moved by odometry, while no scan determined
+        its position
+    speed : (1,) m/s when it last moved by odometry
+    """
+
+    is_frozen: Mask
+    distance: Array
+    speed: Array
+
+
 class State(NamedTuple):
     """State of the tracker; kernels change all of it in place.
 
@@ -52,6 +68,7 @@ class State(NamedTuple):
     travelled : (3,) m, rad and s of that motion
     velocity : (3,) motion between the last two matches
     prior : (2,) variances of the predicted pose: m^2 along each axis, rad^2
+    frozen : whether odometry is frozen
     unlocated : (1,) s since a scan last determined the velocity of a robot without odometry
     averages : (4,) running means of the inlier share, of the squared distance, m^2, of the time
         between scans, s, and of that between matches, s
@@ -72,6 +89,7 @@ class State(NamedTuple):
     travelled: Array
     velocity: Array
     prior: Array
+    frozen: FrozenOdometry
     unlocated: Array
     averages: Array
     evidence: FitSums

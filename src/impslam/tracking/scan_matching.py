@@ -24,6 +24,7 @@ from impslam.surfaces.surface_map import Alignment, align
 from impslam.tracking.base import Gate, Steps, add_travel, reaches_limit
 from impslam.tracking.carried import begin_place, notice_carried
 from impslam.tracking.contradictions import MIN_CONTRADICTED, contradicted_share
+from impslam.tracking.frozen import notice_frozen, remains_frozen
 from impslam.tracking.hypotheses import (
     Prediction,
     align_from_predictions,
@@ -113,8 +114,9 @@ def follow(
                 _match(features[:count], k, no_odometry, beams, state, settings, out)
                 if out.reasons[k] == ELSEWHERE:
                     begin_place(state)
+                moved_on = notice_frozen(k, motions.duration[k], state, settings, out)
                 if out.reasons[k] != UNEXPLAINED:
-                    _add_to_submaps(features[:count], k, beams, state, settings)
+                    _add_to_submaps(features[:count], k, beams, state, settings, moved_on)
             out.reference[k] = True
             state.averages[3] = updated_interval(state.averages[3], state.travelled[2])
             state.matched[:] = state.pose
@@ -134,9 +136,10 @@ def follow(
 def _predict(motions: Motions, k: int, state: State, d_pose: Array) -> bool:
     """Predict the pose of sweep k by odometry, else at constant velocity; return True for the latter.
 
-    Velocity is per sweep, because some logs have stamps that run backwards.
+    Frozen odometry is none. Velocity is per sweep, because some logs have stamps that run backwards.
     """
     no_odometry = bool(motions.covariance[k, 0, 0] >= 0.5 * UNKNOWN)  # rounded if cut and composed
+    no_odometry |= remains_frozen(motions.d_pose[k], state)
     covariance = motions.covariance[k].copy()
     if no_odometry:
         seconds = min(motions.duration[k], MAX_COAST)
@@ -198,14 +201,20 @@ def _add_to_submaps(
     beams: BeamColumns,
     state: State,
     settings: Settings,
+    moved_on: bool,
 ) -> None:
-    """Store the ranges of sweep k, and add it to the submaps unless it is near the one added last."""
+    """Store the ranges of sweep k, and add it to the submaps unless it is near the one added last.
+
+    `moved_on` is whether the robot may have moved on, see `notice_frozen`: then things that come into view
+    show how far it moves, but only if the submaps contain them.
+    """
     lidar = state.lidar
     lidar.pose[:] = state.pose
     lidar.ranges[:] = beams.ranges[k]
     new, pose = lidar.added, state.pose
     far = math.hypot(pose[0] - new[0], pose[1] - new[1]) >= settings.spacing
-    if np.isnan(new[0]) or far or abs(wrap_in_kernel(pose[2] - new[2])) >= settings.turn:
+    far |= abs(wrap_in_kernel(pose[2] - new[2])) >= settings.turn
+    if np.isnan(new[0]) or far or moved_on:
         extend(state.submaps, features, pose, settings.length)
         new[:] = pose
 
@@ -264,6 +273,8 @@ def _move(
     if no_odometry:
         _coast(state, out.located[k], weakest, axis, covariance)
     odometry_motion = state.velocity if no_odometry else state.motion
+    if state.frozen.is_frozen[0]:
+        odometry_motion = np.zeros(3)
     out.reasons[k], out.amounts[k] = check_motion(
         state.faults, odometry_motion, state.velocity, out.located[k], far, state.travelled[2]
     )

@@ -16,7 +16,13 @@ from impslam.tracking.base import Gate, Steps, Tracker
 from impslam.tracking.jump import no_past
 from impslam.tracking.learned_odometry import initial_odometry
 from impslam.tracking.match_faults import initial_faults
-from impslam.tracking.matching_state import BeamColumns, LidarState, Settings, State
+from impslam.tracking.matching_state import (
+    BeamColumns,
+    FrozenOdometry,
+    LidarState,
+    Settings,
+    State,
+)
 from impslam.tracking.per_lidar import PerLidar
 from impslam.tracking.reference_scan import Geometry, geometry_of
 from impslam.tracking.scan_matching import USUAL_RMS, USUAL_SHARE, follow
@@ -78,6 +84,7 @@ class ScanToMap(Tracker):
             travelled=np.zeros(3),
             velocity=np.zeros(3),
             prior=np.zeros(2),
+            frozen=FrozenOdometry(np.zeros(1, np.bool_), np.zeros(1), np.zeros(1)),
             unlocated=np.zeros(1),
             averages=np.array([USUAL_SHARE, USUAL_RMS**2, 0.1, 0.0]),
             evidence=no_evidence(),

@@ -27,3 +27,13 @@ def test_a_copy_of_an_empty_one_is_empty():
     other.append(1.0)
     assert len(empty) == 0
     assert other.array.tolist() == [1.0]
+
+
+def test_removed_rows_stay_in_copies_and_views():
+    grown = GrowingArray(2)
+    grown.append(np.arange(8.0).reshape(4, 2), 4)
+    other, view = copy(grown), grown.array
+    grown.remove(np.array([1, 2]))
+    grown.append([8.0, 9.0])
+    assert grown.array.tolist() == [[0, 1], [6, 7], [8, 9]]
+    assert other.array.tolist() == view.tolist() == [[0, 1], [2, 3], [4, 5], [6, 7]]

@@ -44,6 +44,11 @@ class GrowingArray:
         self._rows = self._rows.copy()
         self._rows[at] = rows
 
+    def remove(self, at: npt.NDArray[Any]) -> None:
+        """Remove the rows `at`; views returned earlier keep their values."""
+        self._rows = np.delete(self._rows[: self._count], at, axis=0)
+        self._count = len(self._rows)
+
     @property
     def array(self) -> npt.NDArray[Any]:
         """The current rows (n, ...), read-only."""

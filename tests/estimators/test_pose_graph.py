@@ -191,6 +191,30 @@ def test_removed_closures_leave_the_graph_unchanged():
     assert len(before.i) == 33
 
 
+def test_a_graph_is_cut_at_a_motion():
+    truth = square()
+    graph = grown(truth, drift=(0.0, 0.0, 0.004))
+    before = graph.poses.copy()
+    other = copy(graph)
+    motion, covariance = graph.cut(20)
+    np.testing.assert_allclose(compose(before[19], motion), before[20], atol=1e-12)
+    np.testing.assert_allclose(covariance, Q, atol=1e-12)
+    assert graph.roots.tolist() == [0] * 20 + [20] * (len(graph) - 20)
+    assert not other.roots.any()
+    np.testing.assert_array_equal(graph.poses, before)
+    graph.close(19, 20, motion, np.linalg.inv(covariance))
+    graph.solve()
+    np.testing.assert_allclose(graph.poses, before, atol=1e-9)
+
+
+def test_a_graph_is_not_cut_through_a_closure():
+    truth = square()
+    graph = grown(truth, drift=(0.0, 0.0, 0.004))
+    closed(graph, truth, 0, 32)
+    assert graph.cut(20) is None
+    assert not graph.roots.any()
+
+
 # --------------------------------------------------------------------------- ways
 
 

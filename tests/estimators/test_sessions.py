@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.estimators.drives import LAP, RING, begun, box, driven, keyframes, way
+from tests.estimators.drives import LAP, RING, STEP, begun, box, driven, keyframes, way
 from tests.extractors.scans import room
 from tests.filters.worlds import MODELS
 from tests.numeric import wrapped
+from tests.recognition.plans import walls
 
 from impslam.estimators.graph import Graph
 from impslam.estimators.loop_closing import Comparison, LoopCloser, LoopSearch, PendingClosure
@@ -144,6 +145,54 @@ def test_a_session_is_located_in_the_known_area(lap):
     assert made.counts()["sessions not found"] == 0
     off = np.hypot(*(made.settle().poses - AGAIN)[:, :2].T)
     assert off[cut:].max() < 0.15
+
+
+SHELVES = [box(x, y, 1.5, 0.8) for x, y in ((14.0, 11.5), (11.0, 13.2), (7.5, 11.5), (4.0, 13.2))]
+"""Along the corridor in the north, so that it differs from that in the south."""
+
+
+@pytest.fixture(scope="module")
+def carried():
+    """A lap, then a drive through another corridor; no motion shows that the robot was carried there."""
+    plan, cut = np.concatenate((RING, *SHELVES)), len(way(*LAP))
+    truth = np.vstack((AGAIN[:cut], way(LAP[2], LAP[3], (1.25, 4.0))[3:]))
+    frames = keyframes(plan, truth)
+    unnoticed = replace(frames[cut].motion, d_pose=np.array([STEP, 0.0, 0.0]))
+    return [*frames[:cut], replace(frames[cut], motion=unnoticed), *frames[cut + 1 :]], truth
+
+
+def test_a_robot_that_was_carried_without_notice_is_found_where_the_map_contradicts_it(carried):
+    frames, truth = carried
+    cut = len(way(*LAP))
+    made = begun(AGAIN[0])
+    revisions = driven(made, frames)
+    assert made.counts()["sessions"] == 2
+    assert np.all(revisions[-1].placed)
+    off = np.hypot(*(made.settle().poses - truth)[:, :2].T)
+    assert off[cut:].max() < 0.1
+    assert (
+        off[:cut] > 0.1
+    ).sum() <= made.spacing / STEP  # less than the distance between two nodes
+
+
+def test_a_second_lap_contradicts_nothing(lap):
+    made = begun(AGAIN[0])
+    driven(made, lap)
+    assert made.counts().get("sessions", 1) == 1
+    assert made._closer.contradicted == []
+
+
+def test_what_the_map_does_not_show_contradicts_nothing(lap):
+    """The robot leaves the ring by a door that is new, into a hall of its own."""
+    cut = len(way(*LAP))
+    outside = way((3.0, 1.25), (6.0, 1.25), (6.0, -20.0))
+    hall = np.concatenate((RING[1:], room(-5.0, 20.0, -25.0, -0.2), walls([0.0, 0.0, 5.0, 0.0])))
+    new = keyframes(hall, outside)
+    frames = [replace(new[k], id=cut + k, stamp=float(cut + k)) for k in range(len(new))]
+    made = begun(AGAIN[0])
+    revisions = driven(made, [*lap[:cut], *frames])
+    assert np.all(revisions[-1].placed)
+    assert made.counts().get("sessions", 1) == 1
 
 
 def broken(frame, off=(0.0, 0.0, 0.0)):

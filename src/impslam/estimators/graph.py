@@ -24,7 +24,7 @@ from impslam.estimators.keyframe_log import (
     refined,
     revised,
 )
-from impslam.estimators.loop_closing import LoopCloser, LoopSearch
+from impslam.estimators.loop_closing import MIN_CONTRADICTIONS, LoopCloser, LoopSearch
 from impslam.estimators.map_scale import landmark_with_scale, revision_with_scale
 from impslam.estimators.pose_graph import PoseGraph
 from impslam.estimators.restoring import restored
@@ -171,6 +171,7 @@ class Graph(Estimator):
             return False
         parts = node, self._keys, self._graph
         moved = self._closer.search(*parts) or self._sessions.place(*parts)
+        moved |= self._separate_contradicted(node)
         if moved:
             try:
                 self._graph.solve()
@@ -180,6 +181,21 @@ class Graph(Estimator):
         if assumed:
             self._sessions.confirm(self._graph.closures - before, self._graph)
         return moved
+
+    def _separate_contradicted(self, node: int) -> bool:
+        """Take the newest nodes out of the map if it contradicts several in a row; return whether it does.
+
+        The robot was carried, or its pose was lost, before the first of them without notice.
+        """
+        nodes = self._closer.contradicted
+        if len(nodes) < MIN_CONTRADICTIONS:
+            return False
+        self._closer.contradicted = []
+        if not self._sessions.separate(nodes[0], self._keys, self._graph):
+            return False
+        for later in range(nodes[0], node + 1):
+            self._sessions.place(later, self._keys, self._graph)
+        return True
 
     def _revise_all(self, graph: PoseGraph) -> Revision:
         """Return the poses of all keyframes according to a graph."""

@@ -114,6 +114,12 @@ class KeyframeLog:
         """Make the newest keyframe a node of the graph."""
         self._nodes.append(len(self) - 1)
 
+    def begin_session(self, row: int) -> None:
+        """Begin a session at a keyframe, which is a node, after the fact."""
+        rows = np.arange(row, len(self))
+        self._sessions.replace(rows, self.sessions[row:] + 1)
+        self._distance.replace(rows, self.distance[row:] + SESSION_GAP)
+
     def drop(self, rows: Ints, hosts: Ints, T_host_row: Array) -> None:
         """Remove the views of keyframes (m,), and define them by T (m, 3) relative to their hosts."""
         self._hosts.replace(rows, hosts)

@@ -36,6 +36,8 @@ MIN_EVIDENCE = 2.5
 """Evidence of closures that agree: a strong and another one, three weak ones, or two that together have
 1.25 times the common area of a strong one."""
 CONFIRMATION_DISTANCE = 12.0  # m driven within which a second closure has to agree
+MAX_KNOWN_WINDOW = 3.0  # m: a node whose window is no wider should be where the graph has it
+MIN_CONTRADICTIONS = 3  # nodes in a row: 7 m of driving
 
 
 class LoopSearch(Parameters):
@@ -110,16 +112,22 @@ class Comparison(NamedTuple):
 
 
 class LoopCloser:
-    """Searches closures for one node after the other, among the nodes connected to it."""
+    """Searches closures for one node after the other, among the nodes connected to it.
+
+    Attributes
+    ----------
+    contradicted : the newest nodes, in a row, that what was seen there earlier contradicts
+    """
 
     def __init__(self, search: LoopSearch) -> None:
         self._search, self.recogniser = search, Recogniser(search.overlap)
         self._pending: list[PendingClosure] = []
+        self.contradicted: list[int] = []
 
     def copy(self) -> LoopCloser:
         """Return one that continues the search on a copy of the graph."""
         other = LoopCloser(self._search)
-        other._pending = list(self._pending)
+        other._pending, other.contradicted = list(self._pending), list(self.contradicted)
         return other
 
     def search(self, node: int, keys: KeyframeLog, graph: PoseGraph) -> bool:
@@ -137,7 +145,7 @@ class LoopCloser:
             return False
         rank = np.where(possible, offsets / (windows + 2.0) + 1e-4 * paths, np.inf)
         driven = keys.distance[keys.nodes]
-        for _ in range(self._search.attempts):
+        for attempt in range(self._search.attempts):
             u = int(np.argmin(rank))
             if rank[u] == np.inf:
                 return False
@@ -146,11 +154,23 @@ class LoopCloser:
                 guess = between(graph.poses[u], graph.poses[node])
                 window = self.window(float(paths[u]))
                 closure = self.recogniser.close(reference, query, guess, window)
+                is_known = window.x <= MAX_KNOWN_WINDOW and offsets[u] < 0.5 * REFERENCE_RADIUS
+                if is_known and self._contradicts(query, guess, closure):
+                    closure = None
+                    self.contradicted += [node] if attempt == 0 else []
+                elif attempt == 0:
+                    self.contradicted = []
                 if closure is not None:
                     new = PendingClosure(u, node, closure, float(driven[node]))
                     return self._accept(new, graph, windows[u])
             rank[np.abs(driven - driven[u]) < PASS_DISTANCE] = np.inf
         return False
+
+    def _contradicts(self, query: Submap, guess: Array, closure: Closure | None) -> bool:
+        """Return whether the last reference contradicts a query that it should contain."""
+        if closure is not None and closure.verdict == ClosureStrength.STRONG:
+            return False
+        return self.recogniser.contradicts(query, guess if closure is None else closure.pose)
 
     def compare(
         self, node: int, pose: Array, window: Window, keys: KeyframeLog, graph: PoseGraph

@@ -135,6 +135,25 @@ class PoseGraph:
         for column in self._edges:
             column.shorten(closures)
 
+    def cut(self, node: int) -> tuple[Array, Array] | None:
+        """Separate the nodes from one on, which then are a session of their own.
+
+        Returns the motion (3,) to the node from the one before, and its covariance (3, 3); None if other
+        edges connect the two parts, too, or if nodes have been folded across.
+        """
+        edges = self.edges
+        crossing = np.flatnonzero(
+            (np.minimum(edges.i, edges.j) < node) & (np.maximum(edges.i, edges.j) >= node)
+        )
+        if len(crossing) != 1 or (self.hosts[node:] < node).any():
+            return None
+        information = edges.information[crossing[0]]
+        for column in self._edges:
+            column.remove(crossing)
+        return between(self.poses[node - 1], self.poses[node]), np.asarray(
+            np.linalg.inv(information)
+        )
+
     def _add(self, *edge: Any) -> None:
         for column, value in zip(self._edges, edge, strict=True):
             column.append(value)

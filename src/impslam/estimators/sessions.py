@@ -68,6 +68,14 @@ class SessionPlacer:
         if motion is not None:
             self._breaks.append(_Break(node, *motion))
 
+    def separate(self, node: int, keys: KeyframeLog, graph: PoseGraph) -> bool:
+        """Make the nodes from one on a pending session, if they can be; return whether they are."""
+        if graph.roots[node] != 0 or (motion := graph.cut(node)) is None:
+            return False
+        keys.begin_session(int(keys.nodes[node]))
+        self.begin(node, motion)
+        return True
+
     def place(self, node: int, keys: KeyframeLog, graph: PoseGraph) -> bool:
         """Try to place the newest session by one of its nodes; return whether it is joined to the map."""
         if graph.roots[node] == 0 or graph.roots[node] != graph.roots[-1]:

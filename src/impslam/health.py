@@ -43,11 +43,12 @@ has failed. LOST: it may be anywhere; the map does not change.
     GROWN,
     DISPLACED,
     ASSUMED,
+    CONTRADICTED,
     UNEXPLAINED,
     ELSEWHERE,
     UNPLACED,
     NOT_FINITE,
-) = range(25)
+) = range(26)
 """The reasons. `OPEN` and `GROWN` come with a distance in m, `MISTIMED` and `SKIPPED` with s, `MISALIGNED`
 with degrees, `INCONSISTENT` with a ratio; `MISSCALED`, `COVERED`, `CHANGED`, `CARRIED`, `UNEXPLAINED` and
 `ELSEWHERE` with a share."""
@@ -73,6 +74,7 @@ _DESCRIPTIONS = (
     "nothing known was seen for {0:.1f} m; the position is uncertain",
     "most observations match no earlier landmark; the position is uncertain",
     "tracking was lost; the path since is by odometry alone, and no earlier place is recognised",
+    "the scans contradict what was seen here earlier; the robot may be elsewhere",
     "only {1:.0f} % of the scan fits the map; the map is not updated",
     "only {1:.0f} % of the scan fits the map: the robot is elsewhere",
     "the robot's position in the map is not known yet",

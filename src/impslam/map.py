@@ -149,6 +149,7 @@ class Revision:
     refused : why the keyframe could not be used, "" if it was used
     placed : (r,) or one for all, whether they are located in the map
     assumed : whether the newest pose is based on odometry alone since the robot got lost
+    contradicted : whether what was seen earlier contradicts the newest scans at their poses
     dropped : keyframes whose scans are removed because they add nothing to those of others
     innovation : of all matches jointly, None if unknown
     """
@@ -164,6 +165,7 @@ class Revision:
     refused: str = ""
     placed: Mask | bool = True
     assumed: bool = False
+    contradicted: bool = False
     dropped: tuple[int, ...] = ()
     innovation: Innovation | None = None
 

@@ -168,6 +168,9 @@ def test_a_robot_that_was_carried_without_notice_is_found_where_the_map_contradi
     revisions = driven(made, frames)
     assert made.counts()["sessions"] == 2
     assert np.all(revisions[-1].placed)
+    assert not any(r.contradicted for r in revisions[:cut])
+    assert any(r.contradicted for r in revisions[cut:])
+    assert not revisions[-1].contradicted
     off = np.hypot(*(made.settle().poses - truth)[:, :2].T)
     assert off[cut:].max() < 0.1
     assert (

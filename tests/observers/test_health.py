@@ -8,11 +8,14 @@ import pytest
 
 from impslam.health import (
     ASSUMED,
+    CONTRADICTED,
+    DEGRADED,
     ELSEWHERE,
     MISTIMED,
     NONE,
     OPEN,
     STALLED,
+    TRACKING,
     UNEXPLAINED,
     UNPLACED,
     Health,
@@ -202,6 +205,14 @@ def test_a_place_assumed_from_odometry_is_reported_until_one_is_recognised():
     for assumed in (False, True, True, False):
         revise(monitor, [4], assumed=assumed)
     assert monitor.health.reasons.tolist() == [NONE, ASSUMED, ASSUMED, NONE]
+
+
+def test_a_robot_where_the_map_contradicts_the_scans_is_degraded():
+    monitor = HealthMonitor()
+    for contradicted in (False, True, True, False):
+        revise(monitor, [4], contradicted=contradicted)
+    assert monitor.health.reasons.tolist() == [NONE, CONTRADICTED, CONTRADICTED, NONE]
+    assert monitor.health.states.tolist() == [TRACKING, DEGRADED, DEGRADED, TRACKING]
 
 
 def test_a_robot_with_unknown_place_in_the_map_is_lost():

@@ -111,8 +111,12 @@ class Graph(Estimator):
             except NumericalError as error:
                 failed = f"no loop is closed at {keyframe.stamp:.3f} s: {error}"
                 refused = "; ".join(filter(None, (refused, failed)))
-        assumed = self._sessions.is_assumed
-        facts: dict[str, Any] = {"refused": refused, "dropped": dropped, "assumed": assumed}
+        facts: dict[str, Any] = {
+            "refused": refused,
+            "dropped": dropped,
+            "assumed": self._sessions.is_assumed,
+            "contradicted": bool(self._closer.contradicted),
+        }
         if moved:
             return replace(self._revise_all(self._graph), **facts)
         pose, covariance = compose_uncertain(

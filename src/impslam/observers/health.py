@@ -12,6 +12,7 @@ from impslam.growing import GrowingArray
 from impslam.health import (
     ASSUMED,
     BLIND,
+    CONTRADICTED,
     ELSEWHERE,
     GROWN,
     NONE,
@@ -98,6 +99,8 @@ class HealthMonitor(Observer):
             lost[:] = reason_amount
         if revision.assumed and lost[0] < ASSUMED:
             lost[:] = ASSUMED, 0.0
+        if revision.contradicted and lost[0] < CONTRADICTED:
+            lost[:] = CONTRADICTED, 0.0
         if not placed and lost[0] < ELSEWHERE:
             lost[:] = UNPLACED, 0.0
         seen = keyframe.scan is None or bool(keyframe.scan.valid.any())

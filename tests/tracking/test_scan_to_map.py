@@ -14,9 +14,9 @@ from impslam.geometry.se2 import between, compose
 from impslam.health import NONE, OPEN, PUSHED, SLIPPED
 from impslam.noise import UNKNOWN, MotionNoise
 from impslam.tracking.base import KeyframeGate
+from impslam.tracking.fusion import SPEED_SIGMA
 from impslam.tracking.learned_odometry import START
 from impslam.tracking.match_information import NORMAL_SIGMA, information, remove_spurious
-from impslam.tracking.scan_matching import SPEED_SIGMA
 from impslam.tracking.scan_to_map import ScanToMap
 from impslam.types import Increment
 

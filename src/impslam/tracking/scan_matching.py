@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from impslam.columns import Motions
-from impslam.geometry.algebra import between, invert, rotate_covariance
+from impslam.geometry.algebra import between, rotate_covariance
 from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.chain import advance, advance_pose
 from impslam.geometry.kernels import kernel
@@ -25,6 +25,7 @@ from impslam.tracking.base import Gate, Steps, add_travel, reaches_limit
 from impslam.tracking.carried import begin_place, notice_carried
 from impslam.tracking.contradictions import MIN_CONTRADICTED, contradicted_share
 from impslam.tracking.frozen import notice_frozen, remains_frozen
+from impslam.tracking.fusion import MAX_COAST, MIN_MOTION, RATE_SIGMA, SPEED_SIGMA, coast, fuse
 from impslam.tracking.hypotheses import (
     Prediction,
     align_from_predictions,
@@ -50,9 +51,6 @@ from impslam.tracking.matching_state import BeamColumns, Match, Settings, State
 from impslam.tracking.submaps import extend, is_empty, older_map
 from impslam.types import Array, Mask
 
-MIN_MOTION = (0.05, 0.04)
-"""m, rad: motion by odometry after which a scan is matched. Matching closer scans gains nothing, and
-matching every 10 cm costs a fifth of the accuracy."""
 MIN_RANGE_CHANGE, MIN_CHANGED_SHARE = (0.03, 0.005), 0.1
 """m, and share of the range: a range changed if it differs by more than this (3 sigma of the noise); and
 the share of ranges that must change, since people change some."""
@@ -64,8 +62,6 @@ SLIP_SIGMAS = 3.0
 """Standard deviations of odometry; a smaller difference is no slip."""
 SEARCH_BELOW = 0.7
 """Share of the mean inlier share below which the pose is searched for."""
-MIN_SIGMA = 1e-4
-"""m, rad: smallest standard deviation of a match."""
 MAX_LOCATED_SIGMA = 0.02
 """m, 1 sigma: a scan locates the robot if it alone determines the position better than this, or better than
 odometry does."""
@@ -79,12 +75,6 @@ USUAL_RMS = 0.02
 MEMORY = 0.3, 0.2, 0.01
 """Weights of the newest scan in the running means of inlier share, of squared distance, and of the
 time between scans."""
-SPEED_SIGMA, RATE_SIGMA = 0.3, 0.6
-"""m/s, rad/s: change of velocity from scan to scan for a robot without odometry: half of walking pace; 0.2
-to 0.5 m/s work equally well."""
-MAX_COAST = 1.0
-"""s: bound of the time between scans, whose stamps may jump; its lower bound is the mean, as they may also
-stand still."""
 
 
 @kernel
@@ -97,7 +87,6 @@ def follow(
     out: Steps,
 ) -> None:
     """Fill `out` for the next m sweeps of a lidar, and update the state."""
-    features = np.empty((beams.points.shape[1], 5), np.float32)
     before, d_pose = np.empty(3), np.empty(3)
     for k in range(len(motions.stamps)):
         before[:] = state.pose
@@ -107,20 +96,7 @@ def follow(
         in_doubt = state.faults.poor[0] > 0.0
         wanted = at_limit or no_odometry or in_doubt or state.proven[0] > 0.0
         if wanted or _due(beams.ranges[k], beams.valid[k], state):
-            count = _find_features(beams, k, no_odometry, settings, features)
-            if count < MIN_POINTS:
-                state.submaps.travelled[0] += state.travelled[0]
-            else:
-                _match(features[:count], k, no_odometry, beams, state, settings, out)
-                if out.reasons[k] == ELSEWHERE:
-                    begin_place(state)
-                moved_on = notice_frozen(k, motions.duration[k], state, settings, out)
-                if out.reasons[k] != UNEXPLAINED:
-                    _add_to_submaps(features[:count], k, beams, state, settings, moved_on)
-            out.reference[k] = True
-            state.averages[3] = updated_interval(state.averages[3], state.travelled[2])
-            state.matched[:] = state.pose
-            state.motion[:], state.covariance[:], state.travelled[:] = 0.0, 0.0, 0.0
+            _use_scan(k, no_odometry, motions, beams, state, settings, out)
         else:
             out.reasons[k], out.amounts[k] = current_fault(state.faults, state.travelled[2])
         between(before, state.pose, out.moved[k])
@@ -130,6 +106,34 @@ def follow(
         out.is_keyframe[k] = out.reference[k] and (at_limit or out.reasons[k] == ELSEWHERE)
         if out.is_keyframe[k]:
             gate.travelled[:] = 0.0
+
+
+@kernel
+def _use_scan(
+    k: int,
+    no_odometry: bool,
+    motions: Motions,
+    beams: BeamColumns,
+    state: State,
+    settings: Settings,
+    out: Steps,
+) -> None:
+    """Match sweep k if it has enough points, and begin the next motion at its pose."""
+    features = np.empty((beams.points.shape[1], 5), np.float32)
+    count = _find_features(beams, k, no_odometry, settings, features)
+    if count < MIN_POINTS:
+        state.submaps.travelled[0] += state.travelled[0]
+    else:
+        _match(features[:count], k, no_odometry, beams, state, settings, out)
+        if out.reasons[k] == ELSEWHERE:
+            begin_place(state)
+        moved_on = notice_frozen(k, motions.duration[k], state, settings, out)
+        if out.reasons[k] != UNEXPLAINED:
+            _add_to_submaps(features[:count], k, beams, state, settings, moved_on)
+    out.reference[k] = True
+    state.averages[3] = updated_interval(state.averages[3], state.travelled[2])
+    state.matched[:] = state.pose
+    state.motion[:], state.covariance[:], state.travelled[:] = 0.0, 0.0, 0.0
 
 
 @kernel
@@ -267,11 +271,11 @@ def _move(
     if not no_odometry:
         _learn(state, match, out.located[k])
     covariance = rotate_covariance(state.covariance, state.matched[2])
-    _fuse(state, settings, match.guess, match.H, match.W, covariance)
+    fuse(state, settings, match.guess, match.H, match.W, covariance)
     between(state.matched, state.pose, state.velocity)
     far = match.W[0] * state.prior[0] < 0.1  # beyond three times the range of full weight
     if no_odometry:
-        _coast(state, out.located[k], weakest, axis, covariance)
+        coast(state, out.located[k], weakest, axis, covariance)
     odometry_motion = state.velocity if no_odometry else state.motion
     if state.frozen.is_frozen[0]:
         odometry_motion = np.zeros(3)
@@ -313,22 +317,6 @@ def _learn(state: State, match: Match, located: bool) -> None:
 
 
 @kernel
-def _coast(state: State, located: bool, weakest: float, axis: float, covariance: Array) -> None:
-    """Widen the covariance (3, 3) of a motion at constant velocity along the axis of least information.
-
-    The velocity may be off by `SPEED_SIGMA` while no scan determines it, and the position by that times the
-    elapsed time. A scan of information `weakest` along the axis shortens the time by its Kalman gain.
-    """
-    seconds = min(state.travelled[2], MAX_COAST)
-    odds = max(weakest, 0.0) * (SPEED_SIGMA * seconds) ** 2
-    state.unlocated[0] = (state.unlocated[0] + seconds) / (1.0 + odds)
-    if not located:
-        state.faults.unlocated[0] = max(state.faults.unlocated[0], SPEED_SIGMA * state.unlocated[0])
-    variance = 2.0 * SPEED_SIGMA**2 * state.unlocated[0] * seconds
-    add_along(covariance, axis, variance)
-
-
-@kernel
 def _find_pose(features: Features, state: State, settings: Settings, H: Array, W: Array) -> float:
     """Move the pose to the best fit of the scan; return the inlier share.
 
@@ -360,41 +348,3 @@ def _find_pose(features: Features, state: State, settings: Settings, H: Array, W
     H[:] = weight * state.evidence.H
     W[:] = prior / (1.0 + chi2 / slack2)
     return share
-
-
-@kernel
-def _fuse(
-    state: State, settings: Settings, guess: Array, H: Array, W: Array, covariance: Array
-) -> None:
-    """Fuse the best match with the prior: update the pose, and set its covariance (3, 3).
-
-    Errors of successive matches are correlated: surfaces look different from different positions, and
-    grass, ramps and people move along. So a match is at best as certain as D, the drift of matched motion
-    since the last match, however many points it has: its information is (H^-1 + D)^-1. That and its
-    product with the best match are written with A = (H + D^-1)^-1, since H has no inverse along a
-    corridor.
-    """
-    distance = state.travelled[0] + MIN_MOTION[0]
-    turn = state.travelled[1] + MIN_MOTION[1]
-    d = np.empty(3)
-    d[0] = d[1] = 1.0 / (max(settings.drift[0], settings.drift[1]) ** 2 * distance + MIN_SIGMA**2)
-    d[2] = 1.0 / (settings.drift[2] ** 2 * distance + settings.drift[3] ** 2 * turn + MIN_SIGMA**2)
-    A, pull, step = H.copy(), np.empty(3), np.empty(3)
-    for a in range(3):
-        A[a, a] += d[a]
-    if not invert(A):
-        return
-    pull[0], pull[1] = W[0] * (state.pose[0] - guess[0]), W[1] * (state.pose[1] - guess[1])
-    pull[2] = W[2] * wrap_in_kernel(state.pose[2] - guess[2])
-    posterior = np.empty((3, 3))
-    for a in range(3):
-        step[a] = d[a] * (A[a, 0] * pull[0] + A[a, 1] * pull[1] + A[a, 2] * pull[2]) - pull[a]
-        for b in range(3):
-            posterior[a, b] = -d[a] * A[a, b] * d[b]
-        posterior[a, a] += d[a] + W[a]
-    if invert(posterior):
-        covariance[:] = posterior
-        step = posterior @ step
-        state.pose[0] += step[0]
-        state.pose[1] += step[1]
-        state.pose[2] = wrap_in_kernel(state.pose[2] + step[2])

@@ -20,6 +20,7 @@ from impslam.errors import ConfigError
 from impslam.geometry.kernels import plain
 from impslam.geometry.se2 import between, compose, compose_uncertain, inverse
 from impslam.map import Map, Track
+from impslam.observers.base import Outcome
 from impslam.types import Array
 
 
@@ -60,10 +61,11 @@ class Continuation:
         self._is_same_log = False
         self._awaits_keyframe = False  # the first one of a new session
         self._map = None if known is None else known.map
+        self._frozen = known is not None and known.frozen
         # the newest repeated keyframe: its scan among those of the log, and the motion to its stamp
         self._newest: tuple[int, Array] | None = None
         self._T_known_newest: Array | None = None  # from the map's newest keyframe, if they differ
-        if known is not None and not known.frozen:
+        if known is not None and not self._frozen:
             self._expect(known.map)
 
     def _expect(self, known: Map) -> None:
@@ -74,6 +76,18 @@ class Continuation:
             self._stamps = known.stamps[begin:]
             odometry = known.odometry_poses[begin:]
             self._odometry = between(odometry[0], odometry)
+
+    def logs(self, outcome: Outcome, scans: int) -> list[dict[str, Any]]:
+        """Return the logs of the map, each with the number of its scans in the map; `scans` are new."""
+        new = {"log": outcome.log.name, "log_sha256": outcome.log_sha256, "scans": scans}
+        if self._map is None:
+            return [new]
+        before = logs_of(self._map)
+        if self._frozen:
+            return [*before, {**new, "scans": 0}]
+        if self.repeated:
+            return [*before[:-1], {**new, "scans": self.repeated + scans}]
+        return [*before, new]
 
     @property
     def repeated(self) -> int:

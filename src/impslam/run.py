@@ -22,7 +22,7 @@ from impslam.bookkeeping import Stopwatch, about, dropped, seal
 from impslam.columns import Batch, Motions, Sweeps, batches
 from impslam.component import shorten
 from impslam.config import Config
-from impslam.continuing import Continuation, Known, begin_with, logs_of
+from impslam.continuing import Continuation, Known, begin_with
 from impslam.diagnosis.diagnose import first_health
 from impslam.diagnosis.odometry_watch import OdometryWatch
 from impslam.errors import ConfigError, SourceError, in_a_line
@@ -155,7 +155,7 @@ class Run:
             known, frozen, hint = begin
             self.estimator = config.make_estimator(known, frozen=frozen, hint=hint)
             self._builder = MapBuilder(known, frozen=frozen)
-        self._begin, self._continuation = begin, Continuation(begin)
+        self._continuation = Continuation(begin)
         self._repeated = len(self._builder)
         self._path: PathRows | None = None
         self._rng = np.random.default_rng(config.seed)
@@ -282,7 +282,9 @@ class Run:
         estimate, outcome = self.estimator.draft(), self.outcome(log, "", 0)
         known = self._builder.map(())
         known = replace(known, observations=self.estimator.observations())
-        return functools.partial(_finished, known, estimate, outcome, self._logs(outcome))
+        return functools.partial(
+            _finished, known, estimate, outcome, self._continuation.logs(outcome, self.scans)
+        )
 
     def draft_landmarks(self) -> Callable[[], tuple[Landmark, ...]]:
         """Return a function that computes the landmarks as of now; another thread may call it."""
@@ -362,7 +364,7 @@ class Run:
             source.path, fingerprint(source.path), len(known.landmarks), source.problems
         )
         outcome = replace(outcome, partial=partial)
-        known = replace(known, about=about(outcome, self._logs(outcome)))
+        known = replace(known, about=about(outcome, self._continuation.logs(outcome, self.scans)))
         for observer in self._observers:
             observer.finish(known, outcome)
         return known
@@ -382,19 +384,6 @@ class Run:
                 f"it; {hint}; choose another with --set odometry.kind=..., or lidar_only to map without "
                 "odometry"
             )
-
-    def _logs(self, outcome: Outcome) -> list[dict[str, Any]]:
-        """Return the logs of the map, each with the number of its scans in the map."""
-        new = {"log": outcome.log.name, "log_sha256": outcome.log_sha256, "scans": self.scans}
-        if self._begin is None:
-            return [new]
-        known, frozen, _ = self._begin
-        before = logs_of(known)
-        if frozen:
-            return [*before, {**new, "scans": 0}]
-        if repeated := self._continuation.repeated:
-            return [*before[:-1], {**new, "scans": repeated + self.scans}]
-        return [*before, new]
 
     def outcome(self, log: Path, sha256: str, landmarks: int, *problems: Problems) -> Outcome:
         """Return the facts of the run so far; `problems` are those of other parts, e.g. the source."""

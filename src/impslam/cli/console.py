@@ -212,7 +212,7 @@ def show_finding(kind: str, text: str, *, harmful: bool) -> None:
     echo(f"{'problem' if harmful else 'note'}: {kind}: {text}")
 
 
-def echo(text: str = "") -> None:
-    """Print a line of output; long lines are not wrapped."""
+def echo(*lines: str) -> None:
+    """Print lines of output; long ones are not wrapped."""
     startup_notice.end()
-    sys.stdout.write(text + "\n")
+    sys.stdout.write("".join(line + "\n" for line in lines))

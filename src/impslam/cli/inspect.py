@@ -156,7 +156,7 @@ def _ambient_facts(ambient: Mapping[str, tuple[float, float]]) -> dict[str, str]
 
 
 def _show_problems(*all_problems: Problems, findings: list[Finding]) -> None:
-    console.echo()
+    console.echo("")
     for problems in all_problems:
         for kind, count in problems.counts.items():
             console.show_problem(kind, count, problems.examples[kind])

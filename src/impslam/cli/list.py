@@ -51,7 +51,7 @@ def list_components(role: str | None = None, /, *, common: Common | None = None)
         else:
             for component in components(name).values():
                 _show(component)
-        console.echo()
+        console.echo("")
 
 
 def _title(preset: str) -> str:

@@ -145,8 +145,7 @@ def run(  # noqa: PLR0913  # each is an option that a user may give
         known_map = continuation.known(live=page.live, outputs=exports.files())
         chosen, source = open_log(log, config, changes)
         interruption.check()
-        if known_map is not None:
-            chosen = _continuing_config(chosen, changes, quiet=quiet)
+        chosen = chosen if known_map is None else _continuing_config(chosen, changes, quiet=quiet)
         with run_folder(output, log_stem(source.path), force=force) as folder:
             known = execute(
                 chosen, source, folder, quiet or page.live,
@@ -156,8 +155,7 @@ def run(  # noqa: PLR0913  # each is an option that a user may give
             )  # fmt: skip
         if not quiet and end.outcome is not None:
             show_result(known, end.outcome, output or folder, with_speed=not page.live)
-            for line in exports.lines():
-                console.echo(line)
+            console.echo(*exports.lines())
 
 
 def _first_look(config: Config, source: Source, preset: str | None, *, quiet: bool) -> Standing:

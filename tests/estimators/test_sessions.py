@@ -147,7 +147,10 @@ def test_a_session_is_located_in_the_known_area(lap):
     assert off[cut:].max() < 0.15
 
 
-SHELVES = [box(x, y, 1.5, 0.8) for x, y in ((14.0, 11.5), (11.0, 13.2), (7.5, 11.5), (4.0, 13.2))]
+SHELVES = [
+    box(15.0, 11.5, 0.6, 1.0), box(13.0, 13.2, 1.5, 0.8), box(11.5, 11.5, 1.2, 0.9),
+    box(8.5, 13.0, 2.0, 1.0), box(6.0, 11.5, 1.0, 0.9), box(3.5, 13.2, 1.0, 0.8),
+]  # fmt: skip
 """Along the corridor in the north, so that it differs from that in the south."""
 
 

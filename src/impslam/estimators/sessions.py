@@ -53,6 +53,7 @@ class SessionPlacer:
         self._compared: list[Comparison] = []  # at the places by odometry, since the last break
         self._closures: list[PendingClosure] = []
         self._assumed: int | None = None
+        self._is_contradicted = False  # the map contradicts the place by odometry
 
     @property
     def is_assumed(self) -> bool:
@@ -64,7 +65,7 @@ class SessionPlacer:
 
         `motion` is odometry's from the node before, (3,) with its covariance (3, 3), if there is any.
         """
-        self._compared, self._closures = [], []
+        self._compared, self._closures, self._is_contradicted = [], [], False
         if motion is not None:
             self._breaks.append(_Break(node, *motion))
 
@@ -74,6 +75,7 @@ class SessionPlacer:
             return False
         keys.begin_session(int(keys.nodes[node]))
         self.begin(node, motion)
+        self._is_contradicted = True
         return True
 
     def place(self, node: int, keys: KeyframeLog, graph: PoseGraph) -> bool:
@@ -187,7 +189,11 @@ class SessionPlacer:
         poses. If the map does not, the view has changed, but not the place.
         """
         driven = keys.distance[keys.nodes]
-        if not self._breaks or driven[node] - driven[self._breaks[-1].node] < MIN_SEARCH_DISTANCE:
+        if (
+            self._is_contradicted
+            or not self._breaks
+            or driven[node] - driven[self._breaks[-1].node] < MIN_SEARCH_DISTANCE
+        ):
             return False
         last = self._compared[-MAX_CHECKED_NODES:]
         return 2 * sum(one.contradicts for one in last) < len(last)

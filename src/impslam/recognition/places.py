@@ -54,9 +54,6 @@ RIVAL_MARGIN = 0.1  # unless free space agrees so much less: three sigma of a sh
 SAME_SIDEWAYS, SAME_HEADING = 0.1, math.radians(1.0)
 """m, rad: poses along one corridor differ less across it and in heading. So may twin rooms; then it remains
 open which of them it is."""
-MIN_CONTRADICTED_SHARE = 0.1
-"""Share of the points of either submap in the free space of the other at which they contradict each other:
-at most 0.02 in the failed searches of three recorded buildings, and 0.11 to 0.4 for carried robots."""
 LIKELY_SHARE = 0.75  # of a window of four sigma: a pose farther off is beyond three of them
 MAX_POINTS = 20.0  # over which a surfel averages
 SLACK = 0.4  # m that an alignment may leave its window: its pairing distance
@@ -149,15 +146,16 @@ class Recogniser:
         self._count("found")
         return closure
 
-    def contradicts(self, query: Submap, guess: Array) -> bool:
-        """Return whether the last reference and a query contradict each other at a guess (3,).
+    def contradiction(self, query: Submap, guess: Array) -> float:
+        """Return the share of points by which the last reference and a query contradict each other.
 
-        They do if many points of one are in the free space of the other, also at the nearest pose that
-        fits. A query of what the reference does not show contradicts nothing.
+        It is that of the points of either in the free space of the other, at the guess (3,) or at the
+        nearest pose that fits, where it is smaller. What the reference does not show contradicts nothing.
         """
+        if self.outcome == "too few points":
+            return 0.0
         nearest = self._settle(query, plain(guess), FINE, FINE_PRIOR).pose
-        shares = [self._contradicted(query, pose) for pose in (guess, nearest)]
-        return min(shares) >= MIN_CONTRADICTED_SHARE
+        return min(self._contradicted(query, pose) for pose in (guess, nearest))
 
     def _is_unlikely(self, query: Submap, guess: Array, window: Window, closure: Closure) -> bool:
         """Return whether a closure is beyond three sigma of the guess, and the query fits there, too.

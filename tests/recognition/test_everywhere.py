@@ -12,7 +12,14 @@ from tests.recognition.plans import walls, way
 from impslam.geometry.se2 import transform
 from impslam.recognition.beams import Beams, explain
 from impslam.recognition.everywhere import COARSE_POINTS, HEADINGS, search_everywhere
-from impslam.recognition.ground import CHANCE, DIRECTIONS, SECTOR, UNKNOWN, make_ground
+from impslam.recognition.ground import (
+    CHANCE,
+    DIRECTIONS,
+    OTHER_DIRECTION,
+    SECTOR,
+    UNKNOWN,
+    make_ground,
+)
 from impslam.recognition.pyramid import CELL, FULL
 from impslam.recognition.stored import stored_views
 from impslam.recognition.submap import view
@@ -73,7 +80,7 @@ def test_points_without_a_normal_count_for_every_direction_where_no_normal_is_kn
     assert (ground.likelihood[0, :DIRECTIONS, upper, column] > FULL // 2).all()
     along = ground.likelihood[0, [0, 2, 3], lower, column]  # this wall faces upwards: direction 1
     assert ground.likelihood[0, 1, lower, column] > FULL // 2
-    assert (along <= FULL * CHANCE).all()
+    assert (along == int(OTHER_DIRECTION * FULL)).all()
 
 
 @pytest.mark.parametrize("truth", [[-2.0, 1.0, 0.3], [1.3, -0.4, 2.8]])

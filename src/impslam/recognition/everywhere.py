@@ -30,7 +30,7 @@ POINTS, COARSE_POINTS = 100, 40  # standard error of the mean likelihood at most
 COARSE_LEVEL = 2  # first level with few points
 MIN_SCORE = 0.3  # reached anywhere by chance
 MIN_SHARE = 0.75  # of the best score; worse places are not returned
-MAX_PLACES = 30
+MAX_PLACES = 60
 SEPARATION, HEADING_SEPARATION = 0.5, 0.2  # m, rad
 BUDGET, MIN_BUDGET, MAX_BUDGET = 4000, 400_000, 4_000_000
 """Maximum number of blocks per m^2 of the map, and its limits; 0.2 us each."""

@@ -35,6 +35,9 @@ walls of a room, which covers a tenth of it."""
 DIRECTIONS, SECTOR = 4, math.pi / 2.0  # rad: normals are classified by the four sides of a room
 MIN_FACING = math.cos(0.5 * SECTOR + math.radians(20.0))
 """Cosine: normals of a scan and of the map may differ by 20 degrees and still have the same direction."""
+OTHER_DIRECTION = 0.6
+"""Likelihood of a point on a surface of another direction. At true poses in recorded buildings, 1 to 6 % of
+the points are on such: clutter seen from its other side. In a room known from its door, half are."""
 MAX_WALL_DISTANCE = 0.1  # m from a surface to a wall of the occupancy grid: up to two cells
 CLEARANCE = 0.15  # m, minimum distance of a lidar from a wall
 MAX_DISTANCE = 5.0  # m, at which distances are clipped
@@ -60,7 +63,7 @@ class Ground(NamedTuple):
     distance : (h, w) m from the cell to the nearest occupied one
     corner : (2,) m, the lower left corner of all grids
     likelihood : (LEVELS, DIRECTIONS + 1, h / 2, w / 2) maximum likelihood of a point in blocks of 2^level
-        cells of `CELL` m, 255 for 1: on surfaces with normals around k `SECTOR`, and, last, on all
+        cells of `CELL` m, 255 for 1: of one with a normal around k `SECTOR`, and, last, of one without
     allowed : (LEVELS, h / 2, w / 2) 1 if the lidar may be anywhere in the block
     surfaces : from the scans of the map
     """
@@ -123,7 +126,7 @@ def _cells(poses: Array, corner: Array, shape: tuple[int, ...]) -> Mask:
 def _likelihood(
     poses: Array, views: Sequence[View], corner: Array, distance: Floats, free: Mask
 ) -> Bytes:
-    """Return the likelihood of a point on a surface of each direction, and of any.
+    """Return the likelihood of a point with a normal in each direction, and of one without a normal.
 
     Objects that are not in the occupancy grid, such as passers-by, are left out. Points without a normal,
     as on walls that few beams hit, count for every direction if there is no normal nearby.
@@ -143,6 +146,9 @@ def _likelihood(
     for k in range(DIRECTIONS + 1):
         chosen = np.isnan(facing) & ~is_known | (k == DIRECTIONS)
         draw(levels[0, k], corner, points, chosen)
+    on_any = (OTHER_DIRECTION * levels[0, DIRECTIONS]).astype(np.uint8)
+    np.maximum(levels[0, :DIRECTIONS], on_any, out=levels[0, :DIRECTIONS])
+    for k in range(DIRECTIONS + 1):
         pool(levels[:, k])
     return levels
 

@@ -12,6 +12,7 @@ from impslam.bookkeeping import dropped
 from impslam.config import load
 from impslam.errors import SourceError
 from impslam.geometry.se2 import compose, exp
+from impslam.map import Map
 from impslam.odometry.synchroniser import MAX_WAIT
 from impslam.run import Run, map_log
 from impslam.simulation.world import load_world
@@ -423,6 +424,23 @@ def test_the_map_holds_the_path_as_it_was_known_and_as_it_is(bare, tmp_path):
     spread = [r.covariance for r in kept.results]
     np.testing.assert_allclose(known.rows().covariances, spread, atol=1e-12)
     assert known.about["counts"] == dict(sorted(kept.outcome.counts.items()))
+
+
+@pytest.mark.parametrize("filter_", ["ekf", "riekf", "ukf"])
+def test_the_joint_covariance_of_landmarks_is_in_the_file_of_the_map(room, tmp_path, filter_):
+    """As the filter has it: common errors of the drive make landmarks correlated."""
+    course = Run(load("imp", [f"filter.kind={filter_}"]))
+    course.play(room)
+    file = course.map().save(tmp_path / "map.imp")
+    known = Map.load(file)
+    expected = course.estimator.landmark_covariance()
+    assert expected.shape == (2 * len(known.landmarks),) * 2
+    assert known.landmark_covariance.tobytes() == expected.tobytes()
+    sigmas = np.sqrt(np.diag(expected))
+    between = expected / np.outer(sigmas, sigmas) - np.eye(len(sigmas))
+    assert np.abs(between).max() > 0.1
+    drawn, _ = course.draft(tmp_path / "played.log")()
+    assert drawn.landmark_covariance.tobytes() == expected.tobytes()
 
 
 @pytest.mark.parametrize("rows", [1, 7, 100_000])

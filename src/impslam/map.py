@@ -7,7 +7,6 @@ T_keyframe_base`. When an estimator moves keyframes, the path moves with them, a
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -26,8 +25,9 @@ from impslam.health import NONE, Reasons
 from impslam.maps import archive, layout
 from impslam.maps.direction import Direction, main_direction
 from impslam.maps.grid import OccupancyGrid, PlacedScans
-from impslam.maps.moving import moved_covariances, moved_landmark
+from impslam.maps.moving import moved_covariances, moved_joint, moved_landmark
 from impslam.types import (
+    NO_COVARIANCE,
     NO_EDGES,
     Array,
     Edges,
@@ -257,7 +257,8 @@ class Map:
     tracked : (n, 3) `T_anchor_base` as tracked, before it is blended with the next keyframe
     edges : the pose graph: motions and loop closures between keyframes i and j; may be empty
     observations : of landmarks, by keyframe, if the estimator needs them to continue the map
-    belief : arrays by name, in map, that the estimator needs to continue it; see `Estimator.belief`
+    landmark_covariance : (2 k, 2 k) joint covariance of the k landmarks, in their order; (0, 0) if the
+        estimator has none
     about : origin of the map: log, config, counts, versions, as JSON values
 
     Examples
@@ -286,7 +287,7 @@ class Map:
     tracked: Array
     edges: Edges = NO_EDGES
     observations: tuple[tuple[Observation, ...], ...] = ()
-    belief: Mapping[str, np.ndarray[Any, Any]] = field(default_factory=dict)
+    landmark_covariance: Array = field(default_factory=lambda: NO_COVARIANCE)
     about: dict[str, Any] = field(default_factory=dict)
 
     def __repr__(self) -> str:
@@ -346,7 +347,7 @@ class Map:
     def moved(self, T: npt.ArrayLike) -> Map:
         """Return the map after a rigid motion T (3,), which moves a point p to T p.
 
-        Tracks, edges and scans are relative and do not change. The belief is omitted.
+        Tracks, edges and scans are relative and do not change.
 
         Raises
         ------
@@ -362,9 +363,9 @@ class Map:
             self,
             keyframes=keyframes,
             landmarks=tuple(moved_landmark(T, landmark) for landmark in self.landmarks),
+            landmark_covariance=moved_joint(T, self.landmarks, self.landmark_covariance),
             odometry_poses=compose(T, self.odometry_poses),
             live_poses=compose(T, self.live_poses),
-            belief={},
         )
 
     def direction(self) -> Direction:
@@ -413,7 +414,7 @@ class Map:
         """
         columns = {f.name: getattr(self, f.name) for f in fields(self)}
         keyframes = {f.name: getattr(self.keyframes, f.name) for f in fields(self.keyframes)}
-        rest = (self.landmarks, self.edges, self.observations, self.belief)
+        rest = (self.landmarks, self.edges, self.observations)
         return archive.save(Path(path), layout.to_arrays(columns, keyframes, *rest), self.about)
 
     @staticmethod

@@ -262,7 +262,8 @@ class Run:
         known = self._builder.map(estimator.landmarks(), about, estimator.edges())
         # after an error, the estimator may have a keyframe that the map has not
         seen = estimator.observations()[: len(known.keyframes)]
-        return replace(known, observations=seen, belief=estimator.belief())
+        covariance = estimator.landmark_covariance()
+        return replace(known, observations=seen, landmark_covariance=covariance)
 
     def settled(self) -> Map:
         """Return the map with all keyframes refined jointly, which may take seconds."""
@@ -428,7 +429,12 @@ def _finished(
         known = blended(known.revised(revision))
         if revision.refused:
             unused["settled map"] = Dropped(1, revision.refused)
-    known = replace(known, landmarks=estimate.landmarks(), edges=estimate.edges())
+    known = replace(
+        known,
+        landmarks=estimate.landmarks(),
+        landmark_covariance=estimate.landmark_covariance(),
+        edges=estimate.edges(),
+    )
     counts = {**outcome.counts, "landmarks": len(known.landmarks)}
     outcome = replace(outcome, counts=counts, stages=stages, dropped=unused)
     return replace(known, about=about(outcome, logs)), outcome

@@ -505,4 +505,6 @@ class Edges(NamedTuple):
 
 
 _NONE = np.empty(0, np.int64)
+NO_COVARIANCE = np.empty((0, 0))
+"""The joint covariance of no landmarks, or an unknown one."""
 NO_EDGES = Edges(_NONE, _NONE, np.empty((0, 3)), np.empty((0, 3, 3)), np.empty(0))

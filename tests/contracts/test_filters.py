@@ -10,6 +10,7 @@ from tests.numeric import wrapped
 
 from impslam.association.known import Known
 from impslam.component import components
+from impslam.geometry.angles import wrap
 from impslam.geometry.se2 import compose
 from impslam.types import Increment, Observation
 
@@ -38,8 +39,8 @@ def test_noiseless_runs_are_exact(belief):
 
 
 def test_monte_carlo_nees_is_chi_square(belief):
-    """Pose NEES over runs is 3 and that of all landmarks their dimension, within 99.9 % bounds."""
-    runs, values = 60, []
+    """Pose NEES over runs is 3 and that of all landmarks jointly their dimension, within 99.9 % bounds."""
+    runs, values, of_landmarks = 60, [], []
     for seed in range(runs):
         rng = np.random.default_rng(seed)
         belief.start(np.zeros(3), 1e-8 * np.eye(3), MODELS)
@@ -47,8 +48,41 @@ def test_monte_carlo_nees_is_chi_square(belief):
             step(belief, increment, observe(pose, rng))
         error = wrapped(belief.pose - pose, 2)
         values.append(error @ np.linalg.solve(belief.covariance, error))
+        if len(joint := belief.landmark_covariance()):
+            off = landmark_errors(belief.landmarks())
+            of_landmarks.append(off @ np.linalg.solve(joint, off))
     low, high = chi2.ppf([0.0005, 0.9995], 3 * runs) / runs
     assert low < np.mean(values) < high
+    if of_landmarks:
+        low, high = chi2.ppf([0.0005, 0.9995], len(off) * runs) / runs
+        assert low < np.mean(of_landmarks) < high
+
+
+def landmark_errors(found):
+    """Return the errors (2 k,) of the estimated values of the landmarks of `observe`, in its order."""
+    walls = [[6.0, 0.0], [5.0, 0.5 * np.pi], [6.0, np.pi], [5.0, -0.5 * np.pi]]
+    errors = np.array([values(mark) for mark in found]) - [*CYLINDERS, *walls]
+    errors[len(CYLINDERS) :, 1] = wrap(errors[len(CYLINDERS) :, 1])
+    return errors.ravel()
+
+
+def values(mark):
+    return [mark.parameters["r"], mark.parameters["alpha"]] if mark.is_line else mark.position
+
+
+def test_the_joint_covariance_of_landmarks_has_their_own_on_its_diagonal(belief):
+    rng = np.random.default_rng(3)
+    for pose, increment in drive(10, rng):
+        step(belief, increment, observe(pose, rng))
+    joint, found = belief.landmark_covariance(), belief.landmarks()
+    if not len(joint):
+        assert belief.name.startswith("submaps")
+        return
+    assert joint.shape == (2 * len(found),) * 2
+    np.testing.assert_allclose(joint, joint.T, atol=1e-15)
+    for k, mark in enumerate(found):
+        own = slice(2 * k, 2 * k + 2)
+        np.testing.assert_allclose(joint[own, own], mark.covariance, rtol=1e-9, atol=1e-15)
 
 
 def test_innovations_are_chi_square(belief):

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from impslam.estimators.map_scale import landmark_with_scale, with_scale
+from impslam.estimators.map_scale import joint_with_scale, landmark_with_scale, with_scale
 from impslam.slam import Slam
 from impslam.types import Landmark
 
@@ -78,7 +78,7 @@ def test_landmark_estimators_add_the_scale_to_what_they_report(kind):
         pytest.importorskip("gtsam")
     angles, way = np.radians(np.arange(-180.0, 180.0)), np.arange(0.0, 8.0, 0.1)
     ranges, stamps = np.array([ranges_in_room(x, angles) for x in way]), 0.2 * np.arange(len(way))
-    live, settled, marks = [], [], []
+    live, settled, marks, joints = [], [], [], []
     for sigma in (0.0, 0.02):
         sets = [f"estimator.kind={kind}", f"estimator.scale_sigma={sigma}"]
         slam = Slam("default", ["sensors.lidar.range_max=60", *sets])
@@ -88,6 +88,7 @@ def test_landmark_estimators_add_the_scale_to_what_they_report(kind):
         known = slam.finish()
         settled.append(known.rows().covariances[-1])
         marks.append({m.id: m for m in known.landmarks})
+        joints.append(known.landmark_covariance)
         last = known.rows().poses[-1]
     added = with_scale(np.zeros((1, 3, 3)), last[None], np.zeros(2), 0.02)[0]
     for found in (live, settled):  # a scan has the scale of the keyframe before it
@@ -96,3 +97,20 @@ def test_landmark_estimators_add_the_scale_to_what_they_report(kind):
     for number, mark in marks[0].items():
         both = landmark_with_scale(mark, np.zeros(2), 0.02).covariance
         np.testing.assert_allclose(marks[1][number].covariance, both, rtol=1e-6, atol=1e-12)
+    if kind == "landmarks":
+        both = joint_with_scale(joints[0], known.landmarks, np.zeros(2), 0.02)
+        np.testing.assert_allclose(joints[1], both, rtol=1e-6, atol=1e-12)
+    else:  # marginals of each landmark only
+        assert not joints[1].size
+
+
+def test_the_scale_is_common_to_all_landmarks():
+    """The angle between two posts, seen from the origin, does not vary with it."""
+    posts = [
+        Landmark(k, "cylinder", ORIGIN + off, {}, np.eye(2), None, 3, 0.0, 1.0)
+        for k, off in enumerate(([4.0, 0.0], [2.0, 0.0]))
+    ]
+    added = joint_with_scale(np.eye(4), posts, ORIGIN, SIGMA) - np.eye(4)
+    ratio = np.array([1.0, 0.0, -2.0, 0.0])
+    assert ratio @ added @ ratio == pytest.approx(0.0, abs=1e-15)
+    assert added[0, 2] == pytest.approx(SIGMA**2 * 8.0)

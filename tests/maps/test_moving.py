@@ -97,6 +97,31 @@ def test_a_point_turns_with_its_ellipse():
     assert moved.parameters == {"radius": 0.1}
 
 
+@pytest.mark.parametrize("T", [*MOVES, (-6.0, -6.0, 1.0)])
+def test_errors_of_landmarks_are_jointly_as_likely_after_as_before(T, rng):
+    ends = np.array([[2.0, 3.0], [4.0, 3.5]])
+    root, error = 1e-4 * rng.standard_normal((4, 4)), 1e-6 * rng.standard_normal(4)
+    P, T = root @ root.T, np.array(T)
+
+    def marks(off):
+        edge, post = wall(ends, P[:2, :2]), np.array([1.0, 2.0]) + off[2:]
+        r, alpha = edge.parameters["r"] + off[0], edge.parameters["alpha"] + off[1]
+        foot = r * np.array([np.cos(alpha), np.sin(alpha)])
+        edge = replace(edge, position=foot, parameters={"r": r, "alpha": alpha})
+        return edge, Landmark(2, "cylinder", post, {}, P[2:, 2:], None, 3, 0.0, 1.0)
+
+    def moved_values(off):
+        edge, post = (moved_landmark(T, mark) for mark in marks(off))
+        return np.array([edge.parameters["r"], edge.parameters["alpha"], *post.position])
+
+    known = mapped(OFFICE, way(-6.0, -0.5, 6.0, 0.2), landmarks=marks(np.zeros(4)))
+    moved = replace(known, landmark_covariance=P).moved(T)
+    after = moved_values(error) - moved_values(np.zeros(4))
+    assert after @ np.linalg.solve(moved.landmark_covariance, after) == pytest.approx(
+        error @ np.linalg.solve(P, error), rel=1e-4
+    )
+
+
 @pytest.mark.parametrize("angle", [0.0, 0.3, -0.7, 1.2, 3.0])
 def test_the_main_direction_is_that_of_the_walls(angle):
     direction = mapped(OFFICE, way(-6.0, -0.5, 6.0, 0.2, 20), T=(1.0, 2.0, angle)).direction()

@@ -7,13 +7,12 @@ from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from impslam.component import Component
 from impslam.errors import ConfigError, NumericalError
 from impslam.map import Keyframe, Map, Revision
 from impslam.tracking.base import KeyframeGate
-from impslam.types import NO_EDGES, Array, Edges, Increment, Landmark, Observation
+from impslam.types import NO_COVARIANCE, NO_EDGES, Array, Edges, Increment, Landmark, Observation
 
 MIN_SIGMA = 1e-4
 """m and rad, of the start, which defines the map frame, and added to motions and to the scatter of
@@ -28,11 +27,13 @@ class Draft(NamedTuple):
     settle : returns the refined poses of all keyframes, or None; see `Estimator.settle`
     landmarks : returns the landmarks; after `settle`, those at the refined poses
     edges : returns the edges of the pose graph; after `settle`, those of the refined poses
+    landmark_covariance : returns the joint covariance of the landmarks, or none
     """
 
     settle: Callable[[], Revision | None]
     landmarks: Callable[[], tuple[Landmark, ...]]
     edges: Callable[[], Edges] = lambda: NO_EDGES
+    landmark_covariance: Callable[[], Array] = lambda: NO_COVARIANCE
 
 
 class Estimator(Component):
@@ -101,14 +102,21 @@ class Estimator(Component):
     def landmarks(self) -> tuple[Landmark, ...]:
         """Return the landmarks in the form that users read."""
 
+    def landmark_covariance(self) -> Array:
+        """Return the joint covariance (2 k, 2 k) of the k `landmarks`, in their order.
+
+        Empty, (0, 0), from an estimator that has none.
+        """
+        return NO_COVARIANCE
+
     def draft(self) -> Draft:
         """Return a snapshot of the estimate; this takes at most milliseconds.
 
         Longer work is deferred to the functions of the draft, which may run in one other thread while this
         estimator continues. By default the landmarks are the current ones, and nothing is refined.
         """
-        landmarks = self.landmarks()
-        return Draft(lambda: None, lambda: landmarks)
+        landmarks, covariance = self.landmarks(), self.landmark_covariance()
+        return Draft(lambda: None, lambda: landmarks, landmark_covariance=lambda: covariance)
 
     def edges(self) -> Edges:
         """Return the edges of the pose graph between keyframe ids, or none without a graph."""
@@ -117,10 +125,6 @@ class Estimator(Component):
     def observations(self) -> tuple[tuple[Observation, ...], ...]:
         """Return the observations of each keyframe, if they are needed to continue the map."""
         return ()
-
-    def belief(self) -> Mapping[str, npt.NDArray[Any]]:
-        """Return further arrays, by name and in map, that are needed to continue the map."""
-        return {}
 
     def counts(self) -> Mapping[str, int]:
         """Return counts of events by name, e.g. of loops closed."""

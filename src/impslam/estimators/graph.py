@@ -37,7 +37,7 @@ from impslam.landmarks.base import LandmarkModel
 from impslam.map import Keyframe, Map, Revision
 from impslam.noise import UNKNOWN
 from impslam.tracking.base import KeyframeGate
-from impslam.types import Array, Edges, Increment, Landmark, Observation
+from impslam.types import NO_COVARIANCE, Array, Edges, Increment, Landmark, Observation
 
 
 @register("graph")
@@ -250,12 +250,16 @@ class Graph(Estimator):
         origin = self._graph.poses[0, :2]
         return tuple(landmark_with_scale(mark, origin, self.scale_sigma) for mark in found)
 
+    def landmark_covariance(self) -> Array:
+        """Return that of a frozen map, whose landmarks stay; others have none."""
+        return NO_COVARIANCE if self._known is None else self._known.landmark_covariance
+
     def draft(self) -> Draft:
         """Return a snapshot of the estimate; see `Estimator.draft`."""
         snapshot = self.model_copy()
         snapshot._graph, snapshot._keys = copy(self._graph), self._keys.copy()
         snapshot._closer = self._closer.copy()
-        return Draft(snapshot.settle, snapshot.landmarks, snapshot.edges)
+        return Draft(snapshot.settle, snapshot.landmarks, snapshot.edges, self.landmark_covariance)
 
     def edges(self) -> Edges:
         """Return motions and closures between keyframes; see `Estimator.edges`."""

@@ -295,6 +295,10 @@ class MultipleHypotheses(Estimator):
         found = [replace(m, id=best.ids[m.id]) for m in best.filter.landmarks()]
         return tuple(sorted(found, key=lambda landmark: landmark.id))
 
+    def landmark_covariance(self) -> Array:
+        """Return that of the likeliest hypothesis; see `Estimator.landmark_covariance`."""
+        return self._hypotheses[0].filter.landmark_covariance()
+
     @property
     def state_size(self) -> int:
         """Number of scalars in the belief of the likeliest hypothesis."""

@@ -16,7 +16,7 @@ from impslam.errors import NumericalError
 from impslam.estimators.base import MIN_SIGMA, Estimator, check_keyframe, is_finite
 from impslam.estimators.blur import blurred
 from impslam.estimators.duplicates import Duplicates, with_kept_landmark
-from impslam.estimators.map_scale import landmark_with_scale, revision_with_scale
+from impslam.estimators.map_scale import joint_with_scale, landmark_with_scale, revision_with_scale
 from impslam.estimators.refused_fixes import RefusedFixes
 from impslam.estimators.slip import RECENT, Attempt, explains, slipped
 from impslam.filters.base import Filter
@@ -215,6 +215,11 @@ class Landmarks(Estimator):
     def landmarks(self) -> tuple[Landmark, ...]:
         """Return the landmarks in the form that users read."""
         return self._landmarks_with_scale(self._filter.landmarks())
+
+    def landmark_covariance(self) -> Array:
+        """Return the joint covariance (2 k, 2 k) of the landmarks; see `Estimator.landmark_covariance`."""
+        found, covariance = self._filter.landmarks(), self._filter.landmark_covariance()
+        return joint_with_scale(covariance, found, self._origin, self.scale_sigma)
 
     def _landmarks_with_scale(self, found: Iterable[Landmark]) -> tuple[Landmark, ...]:
         return tuple(landmark_with_scale(m, self._origin, self.scale_sigma) for m in found)

@@ -8,6 +8,7 @@ is the first pose of the map. Relative to each other, poses and scans of one map
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -35,14 +36,26 @@ def revision_with_scale(revision: Revision, origin: Array, sigma: float) -> Revi
 
 
 def landmark_with_scale(landmark: Landmark, origin: Array, sigma: float) -> Landmark:
-    """Return a landmark with a covariance that includes that of the scale; see `with_scale`.
-
-    The scale changes the distance r of a line, and both coordinates of a point.
-    """
+    """Return a landmark with a covariance that includes that of the scale; see `with_scale`."""
     if sigma == 0.0:
         return landmark
-    J = landmark.position - origin
-    if landmark.is_line:
-        r, alpha = landmark.parameters["r"], landmark.parameters["alpha"]
-        J = np.array([r - np.cos(alpha) * origin[0] - np.sin(alpha) * origin[1], 0.0])
+    J = _values_D_scale(landmark, origin)
     return replace(landmark, covariance=landmark.covariance + sigma**2 * np.outer(J, J))
+
+
+def joint_with_scale(
+    covariance: Array, landmarks: Sequence[Landmark], origin: Array, sigma: float
+) -> Array:
+    """Return the joint covariance (2 k, 2 k) of landmarks including that of the scale; (0, 0) if empty."""
+    if sigma == 0.0 or not covariance.size:
+        return covariance
+    J = np.concatenate([_values_D_scale(landmark, origin) for landmark in landmarks])
+    return covariance + sigma**2 * np.outer(J, J)
+
+
+def _values_D_scale(landmark: Landmark, origin: Array) -> Array:
+    """Return the derivative (2,) of a landmark: of r of a line, and of both coordinates of a point."""
+    if not landmark.is_line:
+        return landmark.position - origin
+    r, alpha = landmark.parameters["r"], landmark.parameters["alpha"]
+    return np.array([r - np.cos(alpha) * origin[0] - np.sin(alpha) * origin[1], 0.0])

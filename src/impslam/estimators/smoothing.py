@@ -24,7 +24,7 @@ from impslam.estimators.landmarks import Landmarks
 from impslam.estimators.smoother import Smoother, SmootherEstimate
 from impslam.growing import GrowingArray
 from impslam.map import Keyframe, Map, Revision
-from impslam.types import Array, Landmark, Observation
+from impslam.types import NO_COVARIANCE, Array, Landmark, Observation
 
 
 @register("smoothing")
@@ -135,6 +135,10 @@ class Smoothing(Landmarks):
         moved.follow(self._settled.poses[-1], {n: best[n][0] for n in self._dims})
         found = (self._with_marginal(mark, *best[mark.id]) for mark in moved.landmarks())
         return self._landmarks_with_scale(found)
+
+    def landmark_covariance(self) -> Array:
+        """Return that of the filter; after `settle` none, because each landmark has its own marginal."""
+        return super().landmark_covariance() if self._settled is None else NO_COVARIANCE
 
     def _with_marginal(self, mark: Landmark, m: Array, P: Array) -> Landmark:
         """Return a landmark of state m (dim,) with the covariance P (dim, dim) of that state."""

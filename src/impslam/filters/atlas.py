@@ -108,6 +108,10 @@ class Atlas:
         """Return the tables that are not empty."""
         return [table for table in self._tables.values() if table.places]
 
+    def ids(self) -> Ints:
+        """Return the ids of all landmarks, ascending."""
+        return np.sort(np.array([i for table in self.tables() for i in table.places], np.int64))
+
     def table(self, kind: str) -> Table:
         """Return the table of a kind."""
         if kind not in self._tables:
@@ -252,6 +256,16 @@ class Atlas:
             return np.empty(0, np.int64), np.empty((0, 2, 2))
         ends = [table.model.outline(table.states(mean), table.extents) for table in tables]
         return np.concatenate([table.ids for table in tables]), np.concatenate(ends)
+
+    def in_values(self, mean: Array, A: Array) -> Array:
+        """Return J A (2 k, m) for A (n, m): J is the derivative of all reported values, by id."""
+        ids = self.ids()
+        out = np.empty((len(ids), 2, A.shape[1]))
+        for table in self.tables():
+            reports = [table.model.report(m) for m in table.states(mean)]
+            values_D_m = np.array([report.values_D_m for report in reports])
+            out[np.searchsorted(ids, table.ids)] = values_D_m @ A[table.columns]
+        return out.reshape(2 * len(ids), A.shape[1])
 
     def landmarks(self, belief: HasBlocks) -> tuple[Landmark, ...]:
         """Return the landmarks in the form that users read, by id."""

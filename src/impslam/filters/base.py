@@ -13,7 +13,16 @@ import numpy as np
 from impslam.association.base import Assignment, Association, Hypotheses, log_normal
 from impslam.component import Component
 from impslam.landmarks.base import LandmarkModel
-from impslam.types import Array, Increment, Innovation, Ints, Landmark, Match, Observation
+from impslam.types import (
+    NO_COVARIANCE,
+    Array,
+    Increment,
+    Innovation,
+    Ints,
+    Landmark,
+    Match,
+    Observation,
+)
 
 Reach: TypeAlias = Callable[[int], float]
 
@@ -179,6 +188,13 @@ class Filter(Component):
     @abstractmethod
     def landmarks(self) -> tuple[Landmark, ...]:
         """Return the landmarks in the form that users read."""
+
+    def landmark_covariance(self) -> Array:
+        """Return the joint covariance (2 k, 2 k) of the k `landmarks`, in their order.
+
+        Empty, (0, 0), from a filter that has none.
+        """
+        return NO_COVARIANCE
 
     @property
     @abstractmethod

@@ -100,6 +100,12 @@ class GaussianFilter(Filter):
         """Return the landmarks in the form that users read."""
         return self._atlas.landmarks(self._belief)
 
+    def landmark_covariance(self) -> Array:
+        """Return the joint covariance (2 k, 2 k) of the landmarks, in their order."""
+        mean = self._belief.mean
+        half = self._atlas.in_values(mean, self._belief.covariance)
+        return self._atlas.in_values(mean, half.T)
+
     @property
     def state_size(self) -> int:
         """Number of estimated scalars."""

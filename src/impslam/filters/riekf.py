@@ -31,7 +31,8 @@ otherwise they would violate the invariance.
 
 The reported covariances of positions are mean squares about the estimate, including the arc. A displacement
 delta, to first order, by a heading error theta is accompanied by 1/2 theta J delta, with J a quarter turn:
-P + 3/4 (J c) (J c)^T with c = cov(position, theta), since E[theta^4] = 3 var(theta)^2.
+P + 3/4 (J c) (J c)^T with c = cov(position, theta), since E[theta^4] = 3 var(theta)^2. All positions turn
+by the same theta, so this also holds for their joint covariance.
 """
 
 from __future__ import annotations
@@ -118,10 +119,15 @@ def _carried_back(
     return out
 
 
-def _arc(with_heading: Array) -> Array:
-    """Return the mean square (2, 2) of the offset from tangent to arc, given cov(position, theta)."""
+def _quarter_turned(with_heading: Array) -> Array:
+    """Return J c (2,) for c (2,), the covariance of a position with the heading."""
     x, y = with_heading.tolist()
-    return 0.75 * np.array([[y * y, -x * y], [-x * y, x * x]])
+    return np.array([-y, x])
+
+
+def _arc(turned: Array) -> Array:
+    """Return the mean square (d, d) of the offsets from tangent to arc of positions, given J c (d,)."""
+    return 0.75 * np.outer(turned, turned)
 
 
 @register("riekf")
@@ -149,22 +155,32 @@ class RightInvariantEkf(Ekf):
     def covariance(self) -> Array:
         """(3, 3) of the pose: mean squares about the estimate, to second order in the heading."""
         P = self._belief.pose_covariance()
-        P[:2, :2] += _arc(P[:2, 2])
+        P[:2, :2] += _arc(_quarter_turned(P[:2, 2]))
         return P
 
     def landmarks(self) -> tuple[Landmark, ...]:
         """Return the landmarks in the form that users read, with covariances as for the pose."""
+        turned = self._turned_places()
+        return tuple(
+            replace(m, covariance=m.covariance + _arc(turned[m.id])) if m.id in turned else m
+            for m in super().landmarks()
+        )
+
+    def landmark_covariance(self) -> Array:
+        """Return the joint covariance (2 k, 2 k) of the landmarks, with arcs as in `landmarks`."""
+        turned = self._turned_places()
+        offsets = [turned.get(number, np.zeros(2)) for number in self._atlas.ids().tolist()]
+        return super().landmark_covariance() + _arc(np.ravel(offsets))
+
+    def _turned_places(self) -> dict[int, Array]:
+        """Return `_quarter_turned` of the landmarks that are positions, by id."""
         P = self._belief.P
-        arcs = {
-            int(number): _arc(P[offset : offset + 2, 2])
+        return {
+            int(number): _quarter_turned(P[offset : offset + 2, 2])
             for table in self._atlas.tables()
             if table.model.is_place
             for number, offset in zip(table.ids, table.offsets, strict=True)
         }
-        return tuple(
-            replace(m, covariance=m.covariance + arcs[m.id]) if m.id in arcs else m
-            for m in super().landmarks()
-        )
 
     def _expect(self, sight: Sight, pose: Array, states: Array) -> Prediction:
         """Return predicted observations, with Jacobians in the perturbations before the correction."""

@@ -35,7 +35,7 @@ from impslam.filters.clique import Clique
 from impslam.filters.ekf import Ekf
 from impslam.filters.junction_tree import JunctionTree, Node, parent
 from impslam.landmarks.base import LandmarkModel
-from impslam.types import Array, Increment, Ints, Landmark, Observation
+from impslam.types import NO_COVARIANCE, Array, Increment, Ints, Landmark, Observation
 
 _NONE = np.empty(0, np.int64)
 _BASE = np.zeros(POSE)
@@ -145,6 +145,10 @@ class SubmapEkf(Ekf):
                     shift[ids, : at.shape[1]] = known.mean[at]
                     blocks |= zip(ids.tolist(), known.P[at[:, :, None], at[:, None]], strict=True)
         return archive.report(self._atlas, shift, blocks)
+
+    def landmark_covariance(self) -> Array:
+        """Return none, (0, 0): landmarks of different areas have no joint covariance here."""
+        return NO_COVARIANCE
 
     @property
     def state_size(self) -> int:

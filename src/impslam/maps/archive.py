@@ -23,10 +23,8 @@ import numpy.typing as npt
 from impslam.errors import ImpError
 from impslam.paths import is_file, is_folder, replacement, written
 
-VERSION = 3
+VERSION = 4
 """Version of the layout; see `layout`. Files of all versions up to this one can be read."""
-FREE = "belief/"
-"""Prefix of the arrays of an estimator, which may have any names, shapes and number."""
 
 Arrays: TypeAlias = dict[str, npt.NDArray[Any]]
 Layout: TypeAlias = Mapping[str, tuple[str, tuple[int | str, ...]]]
@@ -42,8 +40,7 @@ def save(path: Path, arrays: Arrays, about: dict[str, Any]) -> Path:
     ImpError
         If the file cannot be written.
     """
-    free = [name for name in arrays if name.startswith(FREE)]
-    facts = {"version": VERSION, "about": about, "free": free}
+    facts = {"version": VERSION, "about": about}
     table = json.dumps(facts, ensure_ascii=False, default=str)
     with written(path, "choose another place"):
         with replacement(path) as stream:
@@ -97,9 +94,8 @@ def load(
         raise ImpError(f"{path}: cannot be read ({error.strerror}); check permissions") from None
     try:
         with file, zipfile.ZipFile(file) as packed:
-            version, about, free = _about(packed)
-            arrays = _arrays(packed, layout(version))
-            return build(arrays | {name: _array(packed, name) for name in free}, about)
+            version, about = _about(packed)
+            return build(_arrays(packed, layout(version)), about)
     except _VersionError as error:
         raise ImpError(f"{path}: {error}") from None
     except _DAMAGE as error:
@@ -150,8 +146,8 @@ _DAMAGE = (
 )
 
 
-def _about(packed: zipfile.ZipFile) -> tuple[int, dict[str, Any], list[str]]:
-    """Return version, table and names of free arrays."""
+def _about(packed: zipfile.ZipFile) -> tuple[int, dict[str, Any]]:
+    """Return version and table."""
     table = json.loads(_array(packed, "about", np.dtype(np.uint8)).tobytes())
     version, about = int(table["version"]), dict(table["about"])
     if version > VERSION:
@@ -160,10 +156,7 @@ def _about(packed: zipfile.ZipFile) -> tuple[int, dict[str, Any], list[str]]:
         )
     if version < 1:
         raise ValueError(f"there is no version {version}")
-    free = [str(name) for name in table.get("free", [])]
-    if not all(name.startswith(FREE) for name in free):
-        raise ValueError(f"{free} are not names of free arrays")
-    return version, about, free
+    return version, about
 
 
 def _arrays(packed: zipfile.ZipFile, layout: Layout) -> Arrays:
@@ -181,9 +174,7 @@ def _arrays(packed: zipfile.ZipFile, layout: Layout) -> Arrays:
     return arrays
 
 
-def _array(
-    packed: zipfile.ZipFile, name: str, wanted: np.dtype[Any] | None = None
-) -> npt.NDArray[Any]:
+def _array(packed: zipfile.ZipFile, name: str, kind: np.dtype[Any]) -> npt.NDArray[Any]:
     """Return an array with the bytes in the file as memory, because its declared size may be wrong."""
     try:
         member = packed.getinfo(f"{name}.npy")
@@ -196,8 +187,7 @@ def _array(
     if np.lib.format.read_magic(stream) != (1, 0):
         raise ValueError(f"{name} is of another format")
     shape, by_columns, dtype = np.lib.format.read_array_header_1_0(stream)
-    kind = wanted or dtype
-    if dtype != kind or dtype.kind not in "fiub" or by_columns:
+    if dtype != kind or by_columns:
         raise ValueError(f"{name} holds {dtype}, expected {kind} by rows")
     if min(shape, default=0) < 0 or math.prod(shape) * kind.itemsize != len(data) - stream.tell():
         raise ValueError(f"{name} has another length than declared")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from impslam.estimators.pose_graph import KERNEL
 from impslam.geometry.se2 import between, compose
 from impslam.map import Keyframes, Map
 from impslam.maps.relation import HEADING_SIGMA, POSITION_SIGMA, SegmentMatch
-from impslam.types import Edges, Ints, Observation
+from impslam.types import NO_COVARIANCE, Edges, Ints, Observation
 
 
 def joined(first: Map, second: Map, links: Sequence[SegmentMatch]) -> Map:
@@ -22,6 +22,7 @@ def joined(first: Map, second: Map, links: Sequence[SegmentMatch]) -> Map:
     Landmarks are left out because they may be duplicates, and so is the origin of the maps.
     """
     n, m = len(first.keyframes), len(first.keyframes.points)
+    first, second = (replace(m, landmark_covariance=NO_COVARIANCE) for m in (first, second))
     rows = _columns(first.keyframes, second.keyframes, starts=m)
     rows["sessions"][n:] += first.keyframes.sessions.max(initial=-1) + 1
     sweeps = _columns(first, second, anchors=n)

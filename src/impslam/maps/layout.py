@@ -12,7 +12,16 @@ import numpy as np
 from impslam.geometry.se2 import between
 from impslam.maps.archive import Arrays, Layout
 from impslam.maps.observations import packed, unpacked
-from impslam.types import NO_EDGES, Array, Edges, Ints, Landmark, Observation, check_shape
+from impslam.types import (
+    NO_COVARIANCE,
+    NO_EDGES,
+    Array,
+    Edges,
+    Ints,
+    Landmark,
+    Observation,
+    check_shape,
+)
 
 _ROWS: Layout = {
     "stamps": ("f8", ("sweeps",)),
@@ -58,6 +67,7 @@ _OBSERVATIONS: Layout = {
     "observations/attributes": ("f8", ("attributes",)),
     "observations/names": ("u1", ("names",)),  # JSON
 }
+_JOINT: Layout = {"landmark_covariance": ("f8", ("landmark_values", "landmark_values"))}
 MOTION_SIGMA = np.array([0.03, 0.03, 0.01])
 """m, m, rad of the motion to a keyframe if a map lacks it: dead reckoning over half a metre."""
 
@@ -65,13 +75,16 @@ MOTION_SIGMA = np.array([0.03, 0.03, 0.01])
 def layout(version: int) -> Layout:
     """Return the arrays in files of a version.
 
-    Version 2 adds edges; 3 adds what is needed to continue a map: motions, sessions, observations.
+    Version 2 adds edges; 3 adds what is needed to continue a map: motions, sessions, observations; 4 adds
+    the joint covariance of the landmarks.
     """
     known = {**_ROWS, **_KEYFRAMES, **_LANDMARKS}
     if version > 1:
         known |= _EDGES
     if version > 2:
         known |= {**_DRIVE, **_OBSERVATIONS}
+    if version > 3:
+        known |= _JOINT
     return known
 
 
@@ -81,16 +94,14 @@ def to_arrays(
     landmarks: Sequence[Landmark],
     edges: Edges,
     observations: Sequence[Sequence[Observation]],
-    belief: Mapping[str, Any],
 ) -> Arrays:
     """Return the arrays of a map's file."""
     marks = json.dumps([asdict(m) for m in landmarks], default=lambda array: array.tolist())
     return {
-        **{name: columns[name] for name in (*_ROWS, "tracked")},
+        **{name: columns[name] for name in (*_ROWS, "tracked", *_JOINT)},
         **{f"keyframes/{name}": array for name, array in keyframes.items()},
         **{f"edges/{name}": array for name, array in edges._asdict().items()},
         **{f"observations/{name}": array for name, array in packed(observations).items()},
-        **{f"belief/{name}": array for name, array in belief.items()},
         "landmarks": np.frombuffer(marks.encode(), np.uint8),
     }
 
@@ -115,10 +126,20 @@ def from_arrays(arrays: Arrays) -> dict[str, Any]:
         seen = unpacked(_part(arrays, "observations/"))
         if len(seen) not in (0, len(keyframes["stamps"])):
             raise ValueError("observations/counts does not fit the keyframes")
-        parts |= {"observations": seen, "belief": _part(arrays, "belief/")}
+        parts |= {"observations": seen, "landmark_covariance": _joint(arrays, len(marks))}
         return {**parts, "tracked": arrays["tracked"]}
     keyframes |= undriven(keyframes["poses"])
     return {**parts, "tracked": arrays["T_anchor_base"]}
+
+
+def _joint(arrays: Arrays, landmarks: int) -> Array:
+    """Return the joint covariance of the landmarks, which may be empty; raise ValueError if invalid."""
+    joint = arrays.get("landmark_covariance", NO_COVARIANCE)
+    if len(joint) not in (0, 2 * landmarks):
+        raise ValueError("landmark_covariance does not fit the landmarks")
+    if not np.isfinite(joint).all():
+        raise ValueError("landmark_covariance is not finite")
+    return joint
 
 
 def undriven(poses: Array) -> Arrays:

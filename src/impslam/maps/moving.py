@@ -7,6 +7,7 @@ J = diag(R(phi), 1), for any t. Relative data (tracks, edges, scans) do not chan
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -29,16 +30,34 @@ def moved_landmark(T: Array, landmark: Landmark) -> Landmark:
     The covariance of a line is that of r and alpha, that of a point of x and y.
     """
     ends = None if landmark.end_points is None else transform(T, landmark.end_points)
-    values, J = dict(landmark.parameters), rotation(float(T[2]))
+    values, J = dict(landmark.parameters), _jacobian(T, landmark)
     position = transform(T, landmark.position)
     if landmark.is_line:
-        values["r"], values["alpha"], J = _moved_line(T, values["r"], values["alpha"])
+        values["r"], values["alpha"], _ = _moved_line(T, values["r"], values["alpha"])
         position = values["r"] * np.array([math.cos(values["alpha"]), math.sin(values["alpha"])])
     values |= dict(zip(("x", "y"), position.tolist(), strict=True)) if "x" in values else {}
     covariance = J @ landmark.covariance @ J.T
     return replace(
         landmark, position=position, parameters=values, covariance=covariance, end_points=ends
     )
+
+
+def moved_joint(T: Array, landmarks: Sequence[Landmark], covariance: Array) -> Array:
+    """Return the joint covariance (2 k, 2 k) of landmarks after the map has moved; (0, 0) if empty."""
+    if not covariance.size:
+        return covariance
+    J = np.array([_jacobian(T, landmark) for landmark in landmarks])
+    k = len(J)
+    blocks = covariance.reshape(k, 2, k, 2)
+    moved = np.einsum("iab,ibjd,jcd->iajc", J, blocks, J, optimize=True)
+    return np.asarray(moved.reshape(2 * k, 2 * k))
+
+
+def _jacobian(T: Array, landmark: Landmark) -> Array:
+    """Return the derivative (2, 2) of a landmark's estimated values after T by those before."""
+    if not landmark.is_line:
+        return rotation(float(T[2]))
+    return _moved_line(T, landmark.parameters["r"], landmark.parameters["alpha"])[2]
 
 
 def _moved_line(T: Array, r: float, alpha: float) -> tuple[float, float, Array]:

@@ -104,7 +104,9 @@ class Config(Parameters):
         parts = {role: build(role, getattr(self, role)) for role in estimator.parts}
         self._check_unique(estimator)
         start, models = np.array(self.start), self.make_models()
-        estimator.start(start, known, frozen, hint, models=models, **parts)
+        estimator.start(start, models=models, **parts)
+        if known is not None:
+            estimator.resume(known, frozen=frozen, hint=hint)
         return estimator
 
     def _check_unique(self, estimator: Estimator) -> None:

@@ -142,4 +142,4 @@ def test_what_it_cannot_do_is_refused():
     with pytest.raises(ConfigError, match="estimator 'particles' cannot use"):
         Particles().start(np.zeros(3), models=MODELS, **{**parts(), "association": Joint()})
     with pytest.raises(ConfigError, match="cannot continue a map"):
-        Particles().start(np.zeros(3), Map.__new__(Map), models=MODELS, **parts())
+        Particles().resume(Map.__new__(Map))

@@ -89,7 +89,8 @@ def test_a_map_of_two_sessions_is_continued_unchanged(frames, tmp_path):
     made = begun(TRUTH[0])
     file = mapped(made, frames).save(tmp_path / "map.imp")
     again = Graph()
-    again.start(np.zeros(3), Map.load(file), models=MODELS)
+    again.start(np.zeros(3), models=MODELS)
+    again.resume(Map.load(file))
     assert np.all(again.edges().i == made.edges().i)
     np.testing.assert_array_equal(again._graph.roots, made._graph.roots)
     np.testing.assert_allclose(again._keys.distance, made._keys.distance, atol=1e-9)
@@ -101,7 +102,8 @@ def test_a_continued_map_equals_an_uninterrupted_run(stop, tmp_path):
     whole = mapped(begun(TRUTH[0]), frames)
     part = Map.load(mapped(begun(TRUTH[0]), frames[:stop]).save(tmp_path / "map.imp"))
     made, builder = Graph(), MapBuilder(part)
-    made.start(np.zeros(3), part, models=MODELS)
+    made.start(np.zeros(3), models=MODELS)
+    made.resume(part)
     for frame in frames[stop:]:
         revision = made.add(frame)
         assert revision.ids.max() == frame.id
@@ -120,7 +122,8 @@ def test_a_map_with_unknown_motions_is_continued(tmp_path):
     made = begun(TRUTH[0])
     file = mapped(made, frames).save(tmp_path / "map.imp")
     again = Graph()
-    again.start(np.zeros(3), Map.load(file), models=MODELS)
+    again.start(np.zeros(3), models=MODELS)
+    again.resume(Map.load(file))
     np.testing.assert_allclose(again._keys.steps, made._keys.steps)
     np.testing.assert_allclose(again._keys.chain, made._keys.chain, atol=1e-9)
 
@@ -288,7 +291,8 @@ def test_a_frozen_map_stays_and_the_drive_through_it_does_not_drift(lap):
     known = mapped(begun(AGAIN[0]), lap)
     drift = keyframes(RING, TRUTH, drift=(0.0, 0.0, 0.004), rng=np.random.default_rng(5))
     made, builder, n = Graph(), MapBuilder(known, frozen=True), len(known.keyframes)
-    made.start(np.zeros(3), known, frozen=True, models=MODELS)
+    made.start(np.zeros(3), models=MODELS)
+    made.resume(known, frozen=True)
     for k, given in enumerate(drift, n):
         frame = replace(given, id=k, lost=k == n)
         builder.revise(frame, made.add(frame))

@@ -117,7 +117,8 @@ def test_a_map_keeps_its_place_without_the_scans_that_add_nothing(tmp_path):
         frames[k].scan.points[frames[k].scan.valid].astype(np.float32),
     )
     again = Graph()
-    again.start(np.zeros(3), Map.load(known.save(tmp_path / "ring.imp")), models=MODELS)
+    again.start(np.zeros(3), models=MODELS)
+    again.resume(Map.load(known.save(tmp_path / "ring.imp")))
     graph = again._graph
     assert graph.closures == np.isfinite(made._graph.edges.kernel).sum()
     assert (graph.path_lengths(0) >= 0.0).all()

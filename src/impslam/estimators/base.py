@@ -54,30 +54,29 @@ class Estimator(Component):
     """Which scans become keyframes, unless the config overrides it."""
 
     @abstractmethod
-    def start(
-        self,
-        pose: Array,
-        known: Map | None = None,
-        frozen: bool = False,
-        hint: Array | None = None,
-        **parts: Any,
-    ) -> None:
-        """Begin at a pose (3,) with an empty map, or continue a known map.
-
-        Keyframe ids continue those of the map. With `frozen` the keyframes and landmarks of the map do not
-        change. `hint` (3,) or (2,) is the approximate start of the next session in the map, m, m, rad.
+    def start(self, pose: Array, **parts: Any) -> None:
+        """Begin at a pose (3,) with an empty map.
 
         `parts` are the components named in the class's `parts`, by role, and `models`, the landmark
         models by kind.
         """
 
-    def _refuse_known(self, known: Map | None) -> None:
-        """Raise `ConfigError` if a map is given; for estimators that cannot continue one."""
-        if known is not None:
-            raise ConfigError(
-                f"estimator {self.name!r} cannot continue a map; choose another one "
-                "with --set estimator.kind=graph"
-            )
+    def resume(self, known: Map, *, frozen: bool = False, hint: Array | None = None) -> None:
+        """Continue a known map instead of the empty one, after `start`.
+
+        Keyframe ids continue those of the map. With `frozen` the keyframes and landmarks of the map do not
+        change. `hint` (3,) or (2,) is the approximate start of the next session in the map, m, m, rad.
+
+        Raises
+        ------
+        ConfigError
+            If this estimator cannot continue maps; see `can_continue`.
+        """
+        del known, frozen, hint
+        raise ConfigError(
+            f"estimator {self.name!r} cannot continue a map; choose another one "
+            "with --set estimator.kind=graph"
+        )
 
     @abstractmethod
     def add(self, keyframe: Keyframe) -> Revision:

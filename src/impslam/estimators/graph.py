@@ -76,22 +76,20 @@ class Graph(Estimator):
     _final: PoseGraph | None = PrivateAttr(None)
     """The graph with the closures of the newest node, after `settle`."""
 
-    def start(
-        self,
-        pose: Array,
-        known: Map | None = None,
-        frozen: bool = False,
-        hint: Array | None = None,
-        **parts: Any,
-    ) -> None:
-        """Begin at a pose (3,), or continue a map; see `Estimator.start`."""
+    def start(self, pose: Array, **parts: Any) -> None:
+        """Begin at a pose (3,) with an empty map; see `Estimator.start`."""
         self._start, self._models = pose, parts["models"]
         self._since = np.zeros(3), np.zeros((3, 3))
-        if known is not None and len(known.keyframes):
-            self._known = known if frozen else None
+        self._closer = LoopCloser(self.loops)
+        self._sessions = SessionPlacer(self._closer)
+
+    def resume(self, known: Map, *, frozen: bool = False, hint: Array | None = None) -> None:
+        """Continue a map; see `Estimator.resume`."""
+        if len(known.keyframes):
             self._keys, self._graph, self._since = restored(known, self.spacing, frozen=frozen)
             self._thinner.resume(self._keys, frozen=frozen)
-        self._closer = LoopCloser(self.loops if self._known is None else _everywhere(self.loops))
+            if frozen:
+                self._known, self._closer = known, LoopCloser(_everywhere(self.loops))
         self._sessions = SessionPlacer(self._closer, hint)
 
     def add(self, keyframe: Keyframe) -> Revision:

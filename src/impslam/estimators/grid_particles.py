@@ -46,7 +46,7 @@ from impslam.geometry.roots import root
 from impslam.geometry.se2 import compose
 from impslam.growing import GrowingArray
 from impslam.landmarks.base import LandmarkModel
-from impslam.map import Keyframe, Map, Revision
+from impslam.map import Keyframe, Revision
 from impslam.surfaces.surface_map import Alignment
 from impslam.tracking.base import KeyframeGate
 from impslam.types import Array, Ints, Landmark, Observation
@@ -109,16 +109,8 @@ class GridParticles(Estimator):
     _entered: int = PrivateAttr(0)
     _resamplings: int = PrivateAttr(0)
 
-    def start(
-        self,
-        pose: Array,
-        known: Map | None = None,
-        frozen: bool = False,
-        hint: Array | None = None,
-        **parts: Any,
-    ) -> None:
+    def start(self, pose: Array, **parts: Any) -> None:
         """Begin at a pose (3,) with an empty map; see `Estimator.start`."""
-        self._refuse_known(known)
         P = self.particles
         self._models, self._rng = parts["models"], np.random.default_rng(self.seed)
         self._keys, self._book = KeyframeLog(), SurfaceBook(P)

@@ -38,7 +38,7 @@ from impslam.filters.base import Filter
 from impslam.geometry.angles import wrap
 from impslam.geometry.chi_square import quantile
 from impslam.landmarks.base import LandmarkModel
-from impslam.map import Keyframe, Map, Revision
+from impslam.map import Keyframe, Revision
 from impslam.types import Array, Increment, Landmark, Match, Observation
 
 
@@ -133,16 +133,8 @@ class MultipleHypotheses(Estimator):
     _observation_count: int = PrivateAttr(default=0)
     _agreed_matches: tuple[Match, ...] = PrivateAttr(default=())
 
-    def start(
-        self,
-        pose: Array,
-        known: Map | None = None,
-        frozen: bool = False,
-        hint: Array | None = None,
-        **parts: Any,
-    ) -> None:
+    def start(self, pose: Array, **parts: Any) -> None:
         """Begin at a pose (3,) with an empty map; see `Estimator.start`."""
-        self._refuse_known(known)
         self._models = parts["models"]
         parts["filter"].start(pose, MIN_SIGMA**2 * np.eye(3), self._models)
         self._hypotheses = [Hypothesis(parts["filter"])]

@@ -22,7 +22,7 @@ from impslam.estimators.slip import RECENT, Attempt, explains, slipped
 from impslam.filters.base import Filter
 from impslam.landmarks.base import LandmarkModel
 from impslam.lifecycle.base import Lifecycle
-from impslam.map import Keyframe, Map, Revision
+from impslam.map import Keyframe, Revision
 from impslam.noise import MAX_GAP
 from impslam.types import Array, Increment, Landmark, Match, Observation
 
@@ -60,16 +60,8 @@ class Landmarks(Estimator):
     _sightings: SightingsLog = PrivateAttr(default_factory=SightingsLog)
     """The observations of all keyframes, from which `graph` continues the map."""
 
-    def start(
-        self,
-        pose: Array,
-        known: Map | None = None,
-        frozen: bool = False,
-        hint: Array | None = None,
-        **parts: Any,
-    ) -> None:
+    def start(self, pose: Array, **parts: Any) -> None:
         """Begin at a pose (3,) with an empty map; see `Estimator.start`."""
-        self._refuse_known(known)
         self._filter, self._association = parts["filter"], parts["association"]
         self._lifecycle, self._models = parts["lifecycle"], parts["models"]
         self._duplicates, self._origin = Duplicates(), pose[:2].copy()

@@ -44,7 +44,7 @@ from impslam.geometry.roots import root
 from impslam.geometry.se2 import compose
 from impslam.landmarks.base import LandmarkModel
 from impslam.lifecycle.base import Lifecycle
-from impslam.map import Keyframe, Map, Revision
+from impslam.map import Keyframe, Revision
 from impslam.types import Array, Increment, Ints, Landmark, Match, Observation
 
 UNMATCHED_DISTANCE2 = 13.8
@@ -81,16 +81,8 @@ class Particles(Estimator):
     _mapped: set[int] = PrivateAttr()
     _next_id: int = PrivateAttr(default=0)
 
-    def start(
-        self,
-        pose: Array,
-        known: Map | None = None,
-        frozen: bool = False,
-        hint: Array | None = None,
-        **parts: Any,
-    ) -> None:
+    def start(self, pose: Array, **parts: Any) -> None:
         """Begin at a pose (3,) with an empty map; see `Estimator.start`."""
-        self._refuse_known(known)
         association: Association = parts["association"]
         self._association, self._lifecycle = association.for_known_pose(), parts["lifecycle"]
         if self._association.is_joint:

@@ -23,7 +23,7 @@ from impslam.estimators.blur import blurred
 from impslam.estimators.landmarks import Landmarks
 from impslam.estimators.smoother import Smoother, SmootherEstimate
 from impslam.growing import GrowingArray
-from impslam.map import Keyframe, Map, Revision
+from impslam.map import Keyframe, Revision
 from impslam.types import NO_COVARIANCE, Array, Landmark, Observation
 
 
@@ -47,16 +47,9 @@ class Smoothing(Landmarks):
     _dims: dict[int, int] = PrivateAttr(default_factory=dict)
     _settled: SmootherEstimate | None = PrivateAttr(None)
 
-    def start(
-        self,
-        pose: Array,
-        known: Map | None = None,
-        frozen: bool = False,
-        hint: Array | None = None,
-        **parts: Any,
-    ) -> None:
+    def start(self, pose: Array, **parts: Any) -> None:
         """Begin at a pose (3,) with an empty map; see `Estimator.start`."""
-        super().start(pose, known, frozen, hint, **parts)
+        super().start(pose, **parts)
         if not self._filter.follows:
             raise ConfigError(
                 f"estimator 'smoothing' cannot lead the filter {self._filter.name!r}; choose another "

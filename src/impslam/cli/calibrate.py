@@ -5,12 +5,10 @@ from __future__ import annotations
 import json as json_text
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
-
-from cyclopts import Parameter
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from impslam.cli import console
-from impslam.cli.console import Columns, Common, ConfigName, Output, Settings, Topics
+from impslam.cli.console import Columns, Common, ConfigName, Output, Repeatable, Settings, Topics
 from impslam.cli.progress import display
 from impslam.errors import ConfigError
 
@@ -43,7 +41,7 @@ def calibrate(  # noqa: PLR0913  # each is an option that a user may give
     settings: Settings = (),
     topics: Topics = (),
     columns: Columns = (),
-    keep: Annotated[tuple[str, ...], Parameter(negative="", show_default=False)] = (),
+    keep: Repeatable = (),
     square: float | None = None,
     output: Output = None,
     json: Path | None = None,

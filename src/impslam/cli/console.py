@@ -33,14 +33,9 @@ def whole_number(kind: object, tokens: Sequence[Token]) -> int:
 
 Whole: TypeAlias = Annotated[int, Parameter(converter=whole_number)]
 Flag: TypeAlias = Annotated[bool, Parameter(negative="", show_default=False)]
+Repeatable: TypeAlias = Annotated[tuple[str, ...], Parameter(negative="", show_default=False)]
 Settings: TypeAlias = Annotated[
-    tuple[str, ...],
-    Parameter(
-        name="--set",
-        negative="",
-        show_default=False,
-        help="Override a parameter: --set filter.kind=ekf.",
-    ),
+    Repeatable, Parameter(name="--set", help="Override a parameter: --set filter.kind=ekf.")
 ]
 ConfigName: TypeAlias = Annotated[
     str | None,
@@ -60,28 +55,16 @@ Jobs: TypeAlias = Annotated[
 RequiredOutput: TypeAlias = Annotated[Path, Parameter(name=["--output", "-o"])]
 Output: TypeAlias = Annotated[Path | None, Parameter(name=["--output", "-o"])]
 Force: TypeAlias = Annotated[
-    bool,
-    Parameter(
-        negative="",
-        show_default=False,
-        help="Replace an existing run in the -o folder once the new one is complete.",
-    ),
+    Flag,
+    Parameter(help="Replace an existing run in the -o folder once the new one is complete."),
 ]
 Topics: TypeAlias = Annotated[
-    tuple[str, ...],
-    Parameter(
-        name="--topic",
-        negative="",
-        show_default=False,
-        help="Assign a topic to a role: --topic scan=/scan.",
-    ),
+    Repeatable, Parameter(name="--topic", help="Assign a topic to a role: --topic scan=/scan.")
 ]
 Columns: TypeAlias = Annotated[
-    tuple[str, ...],
+    Repeatable,
     Parameter(
         name="--columns",
-        negative="",
-        show_default=False,
         help="Map the columns of a CSV log: --columns stamp=t,ranges=r0:r359*0.001.",
     ),
 ]
@@ -104,9 +87,7 @@ class Common:
     """
 
     quiet: Flag = False
-    verbose: Annotated[
-        bool, Parameter(name=["--verbose", "-v"], negative="", show_default=False)
-    ] = False
+    verbose: Annotated[Flag, Parameter(name=["--verbose", "-v"])] = False
     debug: Flag = False
 
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 from cyclopts import Parameter
 
 from impslam.cli import console
-from impslam.cli.console import Common, Force, Jobs, Output, whole_number
+from impslam.cli.console import Common, Flag, Force, Jobs, Output, whole_number
 from impslam.cli.progress import StageBars, display
 from impslam.cli.run_folder import run_folder
 from impslam.component import near_miss
@@ -52,12 +52,7 @@ Runs: TypeAlias = Annotated[
 def reproduce(
     *experiments: str,
     seeds: Runs = None,
-    full: Annotated[
-        bool,
-        Parameter(
-            negative="", show_default=False, help="Use as many runs as the documented figures."
-        ),
-    ] = False,
+    full: Annotated[Flag, Parameter(help="Use as many runs as the documented figures.")] = False,
     jobs: Jobs = None,
     data: Annotated[
         Path | None, Parameter(help="Folder of the public logs. Default: simulated drives only.")

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import App, Parameter
 
 from impslam.cli import console
-from impslam.cli.console import Common, Flag, Whole
+from impslam.cli.console import Common, Flag, Repeatable, Whole
 from impslam.cli.replay import need_web
 from impslam.errors import ConfigError, ImpError
 from impslam.platform.station.service import unit
@@ -51,9 +51,7 @@ class PageOptions:
 
     host: Address = "127.0.0.1"
     port: Port = 8080
-    names: Annotated[
-        tuple[str, ...], Parameter(name="--name", negative="", show_default=False)
-    ] = ()
+    names: Annotated[Repeatable, Parameter(name="--name")] = ()
     certificate: Path | None = None
     key: Path | None = None
 
@@ -91,7 +89,7 @@ def robot(
     virtual: VirtualOptions | None = None,
     folder: Path | None = None,
     record: Flag = False,
-    map_: Annotated[bool, Parameter(name="--map", negative="", show_default=False)] = False,
+    map_: Annotated[Flag, Parameter(name="--map")] = False,
     page: PageOptions | None = None,
     common: Common | None = None,
 ) -> None:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from impslam.cli import console
-from impslam.cli.console import Common, Jobs, Output, Whole
+from impslam.cli.console import Common, Jobs, Output, Repeatable, Whole
 from impslam.errors import ConfigError
 from impslam.paths import make_folder
 
@@ -27,24 +27,20 @@ MAX_FAILURES_SHOWN = 5
 """Number of failed runs that are printed."""
 
 Configs = Annotated[
-    tuple[str, ...],
+    Repeatable,
     Parameter(
         name=["--config", "-c"],
-        negative="",
-        show_default=False,
         help="Presets or TOML files. Default: the preset that fits each log.",
     ),
 ]
 Alternatives = Annotated[
-    tuple[str, ...],
+    Repeatable,
     Parameter(
         name="--set",
-        negative="",
-        show_default=False,
         help="Values of a parameter to try: --set filter.kind=ekf,riekf. Repeat for all combinations.",
     ),
 ]
-Files = Annotated[tuple[str, ...], Parameter(negative="", show_default=False)]
+Files = Repeatable
 Scheduler = Annotated[
     str | None,
     Parameter(help="Run on a Dask cluster, given its scheduler's address: tcp://HOST:8786."),

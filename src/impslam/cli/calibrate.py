@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json as json_text
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -102,13 +101,14 @@ def _calibrate(  # see `calibrate`
     """Calibrate with all motions, show and draw the result, and return it."""
     from impslam.calibration.calibrate import calibrate as solve
     from impslam.calibration.calibrate import config_tables
+    from impslam.cli.output_files import write_json
 
     chosen, drives = _read(logs, config, settings, quiet)
     found = solve(chosen, drives, keep)
     if not quiet:
         _show(found, keep)
     if json is not None:
-        json.write_text(json_text.dumps(_numbers(found), indent=1) + "\n", "utf-8")
+        write_json(json, _numbers(found))
     if output is not None:
         from impslam.calibration.picture import write_picture
 
@@ -226,9 +226,8 @@ def _write(
 
 def _numbers(found: Calibration) -> dict[str, Any]:
     from impslam.calibration.calibrate import config_tables
-    from impslam.evaluation.json_values import json_values
 
-    numbers: dict[str, Any] = json_values({
+    return {
         "parameters": found.parameters,
         "covariance": found.covariance.tolist(),
         "random_errors": found.random_errors,
@@ -236,5 +235,4 @@ def _numbers(found: Calibration) -> dict[str, Any]:
         "motions": [len(kept) for kept in found.solution.kept],
         "motions_that_fit": [int(kept.sum()) for kept in found.solution.kept],
         "config": config_tables(found),
-    })  # fmt: skip
-    return numbers
+    }

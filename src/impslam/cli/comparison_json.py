@@ -2,30 +2,12 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
-from impslam.errors import ConfigError
-from impslam.evaluation.json_values import json_values
 from impslam.evaluation.relations import RelationErrors
 from impslam.evaluation.scores import KindScore, PathScore
-from impslam.paths import replacement, written
-
-
-def write_json(path: Path, facts: Mapping[str, Any]) -> None:
-    """Write numbers as JSON; unknown values are null.
-
-    Raises
-    ------
-    ConfigError
-        If the file cannot be written.
-    """
-    text = json.dumps(json_values(facts), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-    with written(path, "choose another path", ConfigError), replacement(path) as stream:
-        stream.write(text.encode())
 
 
 def path_facts(score: PathScore) -> dict[str, Any]:

@@ -67,12 +67,13 @@ def evaluate(
         raise ConfigError("no run given; name a run folder, or a trajectory as a TUM file")
     if not (0.0 < against.delta < math.inf and 0.0 < against.gate < math.inf):
         raise ConfigError("--delta and --gate are lengths in m, greater than 0")
-    if output is not None and output.suffix.lower() != ".png":
-        raise ConfigError(f"{output}: pictures are written as PNG; give -o NAME.png")
+    from impslam.cli.output_files import check_png
     from impslam.cli.run_folder import RUN_FILES
     from impslam.cli.scoring import compare
     from impslam.paths import keep_inputs
 
+    if output is not None:
+        check_png(output)
     parts = [run / name for run in runs for name in RUN_FILES]
     keep_inputs([against.truth, against.landmarks, against.relations], [output, json])
     keep_inputs([run for run in runs if not run.is_dir()] + parts, [output, json])

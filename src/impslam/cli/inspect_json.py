@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from impslam.cli.log_statistics import ScanGeometry, StampStatistics
+from impslam.cli.output_files import json_text
 from impslam.cli.survey import Survey
-from impslam.evaluation.json_values import json_values
 from impslam.sources.base import Problems, Source, Stream
 
 UNITS = {"temperature": "celsius", "humidity": "share"}
@@ -41,7 +40,7 @@ def as_json(
         ],
         "findings": [asdict(finding) for finding in survey.findings],
     }
-    return json.dumps(json_values(facts), indent=2, ensure_ascii=False, allow_nan=False)
+    return json_text(facts)
 
 
 def _clock(clock: StampStatistics) -> dict[str, Any]:

@@ -37,8 +37,8 @@ def diff(
     json
         JSON file to write all numbers to.
     """
-    from impslam.cli.comparison_json import write_json
-    from impslam.cli.map_work import picture_path, progress_line, write_bytes
+    from impslam.cli.map_work import progress_line
+    from impslam.cli.output_files import check_png, write_bytes, write_json
     from impslam.errors import ImpError
     from impslam.map import Map
     from impslam.maps.changes import changes
@@ -48,8 +48,9 @@ def diff(
     from impslam.paths import keep_inputs
 
     quiet = common is not None and common.quiet
-    picture = None if output is None else picture_path(after, output)
-    keep_inputs([before, after], [picture, json])
+    if output is not None:
+        check_png(output)
+    keep_inputs([before, after], [output, json])
     known, other = Map.load(before), Map.load(after)
     with progress_line("aligning the maps", quiet) as progress:
         if not aligned:
@@ -59,8 +60,8 @@ def diff(
                 raise ImpError(f"{after} in {before}: {error}") from None
     with progress_line("comparing", quiet):
         found = changes(known, other)
-        if picture is not None:
-            write_bytes(picture, changes_png(map_image(other.grid()), found))
+        if output is not None:
+            write_bytes(output, changes_png(map_image(other.grid()), found))
     if not quiet:
         _show(found)
     if json is not None:

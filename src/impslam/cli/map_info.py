@@ -14,7 +14,9 @@ from impslam.cli.console import Common, Output
 
 if TYPE_CHECKING:
     from impslam.evaluation.quality import Quality
+    from impslam.map import Map
     from impslam.maps.facts import MapFacts
+    from impslam.maps.files import MapImage
 
 
 def info(
@@ -36,8 +38,8 @@ def info(
     json
         JSON file to write all numbers to.
     """
-    from impslam.cli.comparison_json import write_json
-    from impslam.cli.map_work import picture_path, progress_line, write_picture
+    from impslam.cli.map_work import progress_line
+    from impslam.cli.output_files import check_png, write_bytes, write_json
     from impslam.evaluation.quality import quality
     from impslam.map import Map
     from impslam.maps.facts import facts
@@ -45,14 +47,15 @@ def info(
     from impslam.paths import keep_inputs
 
     quiet = common is not None and common.quiet
-    picture = picture_path(file, output)
+    picture = output or file.with_suffix(".png")
+    check_png(picture)
     keep_inputs([file], [picture, json])
     with progress_line("reading the map", quiet):
         known = Map.load(file)
     with progress_line("drawing the map", quiet):
         image = map_image(known.grid())
         found = facts(known, image, time.time())
-        write_picture(picture, known, image)
+        write_bytes(picture, _picture(known, image))
     with progress_line("comparing the scans", quiet):
         agreement = quality(known)
     if not quiet:
@@ -67,6 +70,16 @@ def info(
         console.show_facts(rows)
     if json is not None:
         write_json(json, {**asdict(found), "quality": agreement.figures()})
+
+
+def _picture(known: Map, image: MapImage) -> bytes:
+    """Draw a map: grid, path and landmarks."""
+    import numpy as np
+
+    from impslam.observers.map_picture import PictureContent, drawn_path, map_png
+
+    none = np.empty((0, 2))
+    return map_png(PictureContent(image, drawn_path(known), none, none, known.landmarks))
 
 
 def _rows(found: MapFacts) -> dict[str, str]:

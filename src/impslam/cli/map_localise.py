@@ -44,9 +44,9 @@ def localise(  # noqa: PLR0913  # each is an option that a user may give
     output
         Folder for places.csv, summary.json and places.png. Default: runs/LOG-places-DATE-TIME.
     """
-    from impslam.cli.comparison_json import write_json
     from impslam.cli.job import all_settings
-    from impslam.cli.map_work import progress_line, result_folder, write_bytes
+    from impslam.cli.map_work import progress_line, result_folder
+    from impslam.cli.output_files import write_bytes, write_json
     from impslam.cli.run_folder import log_stem
     from impslam.localisation import localise as located
     from impslam.map import Map

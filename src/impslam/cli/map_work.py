@@ -1,22 +1,16 @@
-"""Progress, pictures and output files, shared by the `imp map` commands."""
+"""Progress and paths of results, shared by the `imp map` commands."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
+from typing import Any
 
 from impslam.cli.progress import display
 from impslam.errors import ConfigError
 from impslam.maps.archive import is_map
-from impslam.paths import keep_inputs, replacement, written
-
-if TYPE_CHECKING:
-    from impslam.map import Map
-    from impslam.maps.files import MapImage
+from impslam.paths import keep_inputs, written
 
 
 class Progress:
@@ -41,13 +35,6 @@ def progress_line(what: str, quiet: bool) -> Iterator[Progress]:
     """Show that work is in progress; yield a callback for the share that is done."""
     with display(quiet) as bars:
         yield Progress(bars, what)
-
-
-def picture_path(beside: Path, requested: Path | None) -> Path:
-    """Return the path of a picture: the requested PNG, or one named like the file beside it."""
-    if requested is not None and requested.suffix.lower() != ".png":
-        raise ConfigError(f"{requested}: pictures are written as PNG; give -o NAME.png")
-    return requested or beside.with_suffix(".png")
 
 
 def check_map_path(path: Path, inputs: Sequence[Path]) -> None:
@@ -84,24 +71,3 @@ def result_folder(folder: Path, files: frozenset[str]) -> Path:
         for name in existing:
             (folder / name).unlink()
     return folder
-
-
-def write_picture(path: Path, known: Map, image: MapImage) -> None:
-    """Draw a map: grid, path and landmarks."""
-    from impslam.observers.map_picture import PictureContent, drawn_path, map_png
-
-    none = np.empty((0, 2))
-    scene = PictureContent(image, drawn_path(known), none, none, known.landmarks)
-    write_bytes(path, map_png(scene))
-
-
-def write_bytes(path: Path, data: bytes) -> None:
-    """Write a file, completely or not at all.
-
-    Raises
-    ------
-    ImpError
-        If it cannot be written.
-    """
-    with written(path, "give another -o"), replacement(path) as stream:
-        stream.write(data)

@@ -16,8 +16,9 @@ from impslam.cli.comparison import (
     show_quality,
     show_relations,
 )
-from impslam.cli.comparison_json import kind_facts, path_facts, relation_facts, write_json
+from impslam.cli.comparison_json import kind_facts, path_facts, relation_facts
 from impslam.cli.evaluate import Against
+from impslam.cli.output_files import write_bytes, write_json
 from impslam.errors import ConfigError, ImpError
 from impslam.evaluation.consistency import Innovations, score_innovations
 from impslam.evaluation.landmark_files import read_true_landmarks
@@ -28,7 +29,6 @@ from impslam.evaluation.relations import RelationErrors, read_relations, relatio
 from impslam.evaluation.run_files import RecordedRun, read_run
 from impslam.evaluation.scores import KindScore, PathScore, score_kinds, score_path
 from impslam.evaluation.tum import read_tum
-from impslam.paths import written
 from impslam.types import Array, TrueLandmark
 
 log = logging.getLogger(__name__)
@@ -194,12 +194,10 @@ def _facts(scores: Mapping[str, Scores], references: References) -> dict[str, An
 
 
 def _draw(scores: Mapping[str, Scores], align: Alignment, output: Path) -> None:
-    from impslam.evaluation.comparison_plot import (
-        draw_comparison,
-    )
+    from impslam.evaluation.comparison_plot import draw_comparison
+    from impslam.evaluation.plots import as_png
 
     paths, _, relations = _by_kind(scores)
     trajectories = {name: score.run.path for name, score in scores.items()}
     figure = draw_comparison(trajectories, paths, relations, DRAWN[align])
-    with written(output, "choose another -o", ConfigError):
-        figure.savefig(output, metadata={"Software": None})
+    write_bytes(output, as_png(figure))

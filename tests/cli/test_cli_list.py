@@ -6,6 +6,7 @@ import pytest
 import tomli_w
 from pydantic import BaseModel
 
+from impslam.cli.console import show_columns
 from impslam.component import components, roles
 from impslam.config import load, presets
 
@@ -45,6 +46,14 @@ def test_default_unit_and_sentence(imp) -> None:
 
 def test_inner_tables_are_dotted(imp) -> None:
     assert "slip.forward" in imp("list", "odometry").out
+
+
+def test_texts_are_wrapped_beside_the_other_columns(capsys) -> None:
+    show_columns([("gate", "m", "word " * 30), ("odds", "", "-x- a-b")], 2)
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "  gate  m  " + " ".join(["word"] * 22)  # 120 columns at most
+    assert lines[1] == " " * 11 + " ".join(["word"] * 8)
+    assert lines[2:] == ["  odds     -x- a-b"]
 
 
 def test_unknown_role(imp) -> None:

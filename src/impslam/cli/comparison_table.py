@@ -38,7 +38,7 @@ def show(header: Sequence[str], rows: Mapping[tuple[str, ...], Sequence[Cell]]) 
         styles = ["bold" if c.text == text else "" for c, text in zip(cells, best, strict=True)]
         numbers = (Text(c.text, style) for c, style in zip(cells, styles, strict=True))
         table.add_row(*map(Text, labels), *numbers)
-    console.show_indented(table, 0)
+    console.print_table(table)
 
 
 def _best(column: Sequence[Cell]) -> str | None:

@@ -7,6 +7,8 @@ import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from shutil import get_terminal_size
+from textwrap import TextWrapper
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 from cyclopts import Parameter, Token
@@ -15,11 +17,12 @@ from impslam.cli import startup_notice
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.padding import Padding
     from rich.table import Table
 
 WIDTH = 120
 """Columns of the output if it does not go to a terminal."""
+MIN_WRAPPED = 20
+"""Columns of wrapped text at least, however narrow the terminal is."""
 
 
 def whole_number(kind: object, tokens: Sequence[Token]) -> int:
@@ -151,23 +154,29 @@ def show_table(
         table.add_column(Text(name), justify="right" if right else "left", overflow="fold")
     for row in rows:
         table.add_row(*(Text(cell) for cell in row))
-    _print(table)
+    print_table(table)
 
 
-def show_indented(table: Table, indent: int) -> None:
-    """Print a table, indented by some columns."""
-    from rich.padding import Padding
-
-    _print(Padding(table, (0, 0, 0, indent)))
-
-
-def _print(table: Table | Padding) -> None:
-    """Print a rich layout without its trailing blanks."""
+def print_table(table: Table) -> None:
+    """Print a table of rich without trailing blanks."""
     console = stdout()
     with console.capture() as text:
         console.print(table)
     for line in text.get().splitlines():
         echo(line.rstrip())
+
+
+def show_columns(rows: Sequence[Sequence[str]], indent: int) -> None:
+    """Print rows as left-aligned columns; the last one is wrapped at the width of the output."""
+    widths = [max(map(len, column)) + 2 for column in zip(*rows, strict=True)][:-1]
+    width = get_terminal_size().columns if sys.stdout.isatty() else WIDTH
+    left = width - indent - sum(widths)
+    wrapper = TextWrapper(max(left, MIN_WRAPPED), break_on_hyphens=False)
+    for *cells, text in rows:
+        start = "".join(cell.ljust(w) for cell, w in zip(cells, widths, strict=True))
+        for line in wrapper.wrap(text) or [""]:
+            echo(f"{' ' * indent}{start}{line}".rstrip())
+            start = " " * sum(widths)
 
 
 def show_facts(facts: Mapping[str, str]) -> None:

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from importlib.resources import files
 from itertools import takewhile
 from typing import Any, TypeAlias
 
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
-from rich.table import Table
-from rich.text import Text
 
 from impslam.cli import console
 from impslam.cli.console import Common
@@ -47,7 +44,7 @@ def list_components(role: str | None = None, /, *, common: Common | None = None)
         elif name == "worlds":
             _show_names({world: load_world(world).description for world in shipped_worlds()})
         elif name == ROBOT:
-            _print_rows(parameters(SimulatedRobot), 2 * INDENT)
+            console.show_columns(parameters(SimulatedRobot), 2 * INDENT)
         else:
             for component in components(name).values():
                 _show(component)
@@ -64,16 +61,16 @@ def _title(preset: str) -> str:
 
 
 def _show_names(names: dict[str, str]) -> None:
-    _print_rows(list(names.items()), INDENT // 2)
+    console.show_columns(list(names.items()), INDENT // 2)
 
 
 def _show(component: type[Component]) -> None:
-    _print_rows([(component.name, component.describe())], INDENT // 2)
+    console.show_columns([(component.name, component.describe())], INDENT // 2)
     rows = [
         row for row in parameters(component) if row[0] != "path"
     ]  # the log's path is an argument
     if rows:
-        _print_rows(rows, 2 * INDENT)
+        console.show_columns(rows, 2 * INDENT)
 
 
 def parameters(model: type[BaseModel], prefix: str = "", values: Any = None) -> list[Row]:
@@ -109,13 +106,3 @@ def _unit(field: FieldInfo) -> str:
     extra = field.json_schema_extra
     unit = str(extra.get("unit", "")) if isinstance(extra, dict) else ""
     return "" if unit == "1" else unit
-
-
-def _print_rows(rows: Sequence[Row], indent: int) -> None:
-    table = Table.grid(padding=(0, 2, 0, 0))
-    for column in range(len(rows[0])):
-        last = column == len(rows[0]) - 1
-        table.add_column(overflow="fold", no_wrap=not last)
-    for row in rows:
-        table.add_row(*map(Text, row))
-    console.show_indented(table, indent)

@@ -13,7 +13,7 @@ from impslam.observers import ros_markers, ros_values
 from impslam.observers.base import Observer, Outcome
 from impslam.observers.history import health_of
 from impslam.sources.mcap_file import LATCHED, McapFile
-from impslam.sources.ros_build import TYPES, nanoseconds
+from impslam.sources.ros_build import message_types, nanoseconds
 from impslam.sources.ros_storage import RosMessage
 from impslam.sources.ros_writers import Record
 from impslam.types import Array, Ints
@@ -51,7 +51,7 @@ def write_ros_map(path: Path, known: Map, outcome: Outcome) -> None:
 
         def write(topic: str, stamp: float, message: RosMessage, latched: bool = False) -> None:
             kind = message.__msgtype__
-            record = Record(topic, kind, TYPES.serialize_cdr(message, kind))
+            record = Record(topic, kind, message_types().serialize_cdr(message, kind))
             file.append(record, nanoseconds(stamp), *(LATCHED,) * latched)
 
         image = map_image(known.grid(outcome.config["grid"]["resolution"]))

@@ -19,7 +19,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 
 from impslam.errors import SourceError
 from impslam.paths import written
-from impslam.sources.ros_build import TYPES
+from impslam.sources.ros_build import message_types
 from impslam.sources.ros_writers import Record
 
 _FOREVER = QosTime(2147483647, 4294967295)
@@ -76,6 +76,6 @@ class McapFile:
         topic, kind, data = record
         if topic not in self._connections:
             self._connections[topic] = self._writer.add_connection(
-                topic, kind, typestore=TYPES, offered_qos_profiles=qos
+                topic, kind, typestore=message_types(), offered_qos_profiles=qos
             )
         self._writer.write(self._connections[topic], clock, data)

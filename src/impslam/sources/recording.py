@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from impslam.sources.mcap_file import LATCHED, McapFile
-from impslam.sources.ros_build import TYPES, nanoseconds, new
+from impslam.sources.ros_build import message_types, nanoseconds, new
 from impslam.sources.ros_writers import Record, encode
 from impslam.sources.rosbag import PRESET_TOPIC, PRESET_TYPE
 from impslam.types import Message
@@ -52,7 +52,7 @@ class McapWriter(McapFile):
     def _write_preset(self) -> None:
         if not self._has_preset:
             self._has_preset = True
-            data = TYPES.serialize_cdr(new(PRESET_TYPE, self._preset), PRESET_TYPE)
+            data = message_types().serialize_cdr(new(PRESET_TYPE, self._preset), PRESET_TYPE)
             self.append(Record(PRESET_TOPIC, PRESET_TYPE, data), self._clock, LATCHED)
 
     _close = _write_preset

@@ -4,22 +4,31 @@ from __future__ import annotations
 
 import math
 import re
+from functools import cache
 from typing import Any
 
 import numpy as np
 from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys.store import Typestore
 
 from impslam.errors import MessageError
 from impslam.sources.ros_messages import NANOSECONDS
 from impslam.sources.ros_storage import RosMessage
 from impslam.types import Array
 
-TYPES = get_typestore(Stores.ROS2_HUMBLE)  # the oldest supported release, for compatibility
+
+@cache
+def message_types() -> Typestore:
+    """Return the messages of the oldest supported release, for compatibility.
+
+    rosbags takes 0.05 s to import them, which programs that write no messages do not need.
+    """
+    return get_typestore(Stores.ROS2_HUMBLE)
 
 
 def new(kind: str, *values: Any) -> RosMessage:
     """Return a message of a type with the given fields."""
-    return TYPES.types[kind](*values)
+    return message_types().types[kind](*values)
 
 
 def nanoseconds(stamp: float) -> int:

@@ -11,7 +11,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from impslam.errors import MessageError
-from impslam.sources.ros_build import TYPES, header_of, new, planar, time_of, topic_name, xyz
+from impslam.sources.ros_build import (
+    header_of,
+    message_types,
+    new,
+    planar,
+    time_of,
+    topic_name,
+    xyz,
+)
 from impslam.sources.ros_messages import LEFT, RIGHT
 from impslam.sources.ros_storage import RosMessage
 from impslam.types import (
@@ -225,5 +233,5 @@ def encode(message: Message) -> Iterator[Record]:
         raise MessageError(f"{type(message).__name__} has no ROS type and cannot be recorded")
     device = topic_name(message.device) if isinstance(message, DeviceTime) else ""
     for topic, kind, convert in CHANNELS[type(message)]:
-        data = TYPES.serialize_cdr(convert(message), kind)
+        data = message_types().serialize_cdr(convert(message), kind)
         yield Record(topic.format(device=device), kind, data)

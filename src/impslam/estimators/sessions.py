@@ -136,7 +136,7 @@ class SessionPlacer:
     ) -> PendingClosure | None:
         """Return the closure at a likely pose (3,); None if the map agrees with odometry at another one."""
         if expected is not None:
-            return expected if _is_same(_placed(expected, graph), pose) else None
+            return expected if _is_same_place(_placed(expected, graph), pose) else None
         window = self._closer.window(0.0)
         closure = self._closer.compare(node, pose, window, keys, graph).closure
         if closure is None or not (closure.is_strong and closure.closure.has_position):
@@ -147,7 +147,7 @@ class SessionPlacer:
         """Return whether a pose (3,) of a node is where the closures so far place it."""
         poses = graph.poses
         return all(
-            _is_same(compose(_placed(one, graph), between(poses[one.j], poses[node])), pose)
+            _is_same_place(compose(_placed(one, graph), between(poses[one.j], poses[node])), pose)
             for one in self._closures
         )
 
@@ -220,6 +220,7 @@ def _placed(closure: PendingClosure, graph: PoseGraph) -> Array:
     return compose(graph.poses[closure.i], closure.closure.pose)
 
 
-def _is_same(one: Array, other: Array) -> bool:
+def _is_same_place(one: Array, other: Array) -> bool:
+    """Return whether two poses (3,) of the robot are closer than `SAME_PLACE`."""
     d = between(one, other)
     return bool(math.hypot(d[0], d[1]) < SAME_PLACE[0] and abs(d[2]) < SAME_PLACE[1])

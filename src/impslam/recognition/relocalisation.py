@@ -243,12 +243,13 @@ def _distinct(
     """Yield the places that are not close to a better one."""
     kept: list[Array] = []
     for explanation, pose in explained:
-        if not any(_is_same(pose, other) for other in kept):
+        if not any(_are_close(pose, other) for other in kept):
             kept.append(pose)
             yield explanation, pose
 
 
-def _is_same(one: Array, other: Array) -> bool:
+def _are_close(one: Array, other: Array) -> bool:
+    """Return whether two hypotheses (3,) count as one; see `SEPARATION`."""
     turn = abs(float(wrap(one[2] - other[2])))
     return math.dist(one[:2], other[:2]) <= SEPARATION and turn <= HEADING_SEPARATION
 

@@ -230,4 +230,4 @@ def test_a_map_is_what_frozen_and_hints_are_about(whole, tmp_path):
     with pytest.raises(ImpError, match="no such file"):
         begin_with(tmp_path / "gone.imp")
     with pytest.raises(ConfigError, match="has no keyframes"):
-        begin_with(MapBuilder().map(()), frozen=True)
+        begin_with(MapBuilder().map(), frozen=True)

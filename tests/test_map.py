@@ -137,7 +137,7 @@ def driven(turn=0.3):
 
 def test_blending_changes_nothing_where_keyframes_did_not_move_against_each_other():
     builder, poses = driven()
-    known = builder.map(())
+    known = builder.map()
     np.testing.assert_allclose(blended(known).path(), known.path(), atol=1e-12)
     rigid = compose(np.array([3.0, -2.0, 2.8]), poses)
     moved = known.revised(revision([0, 1, 2], rigid))
@@ -148,14 +148,14 @@ def test_sweeps_before_a_motion_that_is_not_finite_stay_with_their_keyframe():
     builder, _ = driven()
     motion = Increment(3.0, np.full(3, np.nan), EYE, 1.0)
     builder.revise(replace(keyframe(3), motion=motion), revision([3], [ZERO]))
-    known = builder.map(())
+    known = builder.map()
     np.testing.assert_allclose(blended(known).path(), known.path(), atol=1e-12)
 
 
 def test_blended_sweeps_leave_no_step_before_a_keyframe():
     builder, poses = driven(turn=0.0)
     shift = np.array([0.0, 0.1, 0.0])
-    known = builder.map(()).revised(revision([0, 1, 2], poses + np.outer([0, 1, 2], shift)))
+    known = builder.map().revised(revision([0, 1, 2], poses + np.outer([0, 1, 2], shift)))
     path, plain = blended(known).path(), known.path()
     keys = [0, 3, 6]
     np.testing.assert_allclose(path[keys], plain[keys], atol=1e-12)
@@ -168,7 +168,7 @@ def test_keyframes_that_move_take_their_sweeps_along():
     builder = built()
     moved = [[9.0, 1.0, np.pi / 2], [2.5, 0.0, 0.0], [3.0, 0.0, 0.0]]
     builder.revise(keyframe(3), revision([0, 2, 3], moved))
-    known = builder.map(())
+    known = builder.map()
     np.testing.assert_allclose(known.keyframes.poses[:, 0], [9.0, 1.0, 2.5, 3.0])
     path = known.path()[:, 1:]
     np.testing.assert_allclose(path[0], moved[0], atol=1e-12)
@@ -187,7 +187,7 @@ def test_tracks_after_a_revision_hang_on_the_moved_keyframe():
 
 def test_what_was_given_out_before_does_not_change():
     builder = built()
-    early, keyframes = builder.map(()), builder.keyframes()
+    early, keyframes = builder.map(), builder.keyframes()
     path, cells = early.path().tobytes(), early.grid().logodds.tobytes()
     poses = keyframes.poses.tobytes()
     for k in range(3, 200):  # beyond the room that is set aside
@@ -197,11 +197,11 @@ def test_what_was_given_out_before_does_not_change():
     assert early.path().tobytes() == path
     assert early.grid().logodds.tobytes() == cells
     assert keyframes.poses.tobytes() == poses
-    assert builder.map(()).grid().logodds.size > early.grid().logodds.size
+    assert builder.map().grid().logodds.size > early.grid().logodds.size
 
 
 def test_values_given_out_are_read_only():
-    known = built().map(())
+    known = built().map()
     with pytest.raises(ValueError, match="read-only"):
         known.keyframes.poses[0] = 1.0
     with pytest.raises(ValueError, match="read-only"):
@@ -214,8 +214,14 @@ def test_values_given_out_are_read_only():
 @pytest.fixture
 def known():
     about = {"log": "büro.mcap", "counts": {"scans": 9}, "start": [0.5, None, True]}
-    made = built().map((WALL, POST), about, EDGES)
-    return replace(made, observations=SEEN, landmark_covariance=JOINT)
+    return replace(
+        built().map(),
+        landmarks=(WALL, POST),
+        landmark_covariance=JOINT,
+        edges=EDGES,
+        observations=SEEN,
+        about=about,
+    )
 
 
 @pytest.fixture
@@ -273,7 +279,7 @@ def test_a_file_of_an_older_version_tells_motions_by_its_poses(known, file, vers
 
 
 def test_an_empty_map_comes_back(tmp_path):
-    empty = MapBuilder().map(())
+    empty = MapBuilder().map()
     same(empty, Map.load(empty.save(tmp_path / "empty.imp")))
 
 
@@ -493,7 +499,7 @@ def test_memory_is_not_taken_by_a_lie(file):
 
 
 def test_some_keyframes_take_their_points_along():
-    known = built(4).map(()).keyframes
+    known = built(4).map().keyframes
     some = known.take(np.array([3, 1]))
     assert some.stamps.tolist() == [3.0, 1.0]
     for k, row in enumerate((3, 1)):

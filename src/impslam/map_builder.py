@@ -13,7 +13,7 @@ from impslam.geometry.kernels import kernel, read_only
 from impslam.geometry.se2 import between, compose, motion_lengths
 from impslam.growing import GrowingArray
 from impslam.map import UPPER, Keyframe, Keyframes, Map, PathRows, Revision, Track, poses_in_map
-from impslam.types import NO_EDGES, Array, Edges, Landmark, Mask, Scan
+from impslam.types import Array, Mask, Scan
 
 _DISTINCT = np.ravel_multi_index(UPPER, (3, 3))
 """Indices of the entries of `UPPER` in the flattened matrix."""
@@ -155,22 +155,10 @@ class MapBuilder:
         """Return the current keyframes."""
         return Keyframes(**{name: column.array for name, column in self._keyframes.items()})
 
-    def map(
-        self,
-        landmarks: tuple[Landmark, ...],
-        about: dict[str, Any] | None = None,
-        edges: Edges = NO_EDGES,
-    ) -> Map:
-        """Return the current map; later data do not change it."""
+    def map(self) -> Map:
+        """Return the current map without landmarks and edges; later data do not change it."""
         sweeps: dict[str, Any] = {name: column.array for name, column in self._sweeps.items()}
-        return Map(
-            self.keyframes(),
-            landmarks,
-            **sweeps,
-            T_anchor_base=sweeps["tracked"],
-            edges=edges,
-            about=about or {},
-        )
+        return Map(self.keyframes(), (), **sweeps, T_anchor_base=sweeps["tracked"])
 
 
 def _extend(columns: dict[str, GrowingArray], rows: object) -> None:

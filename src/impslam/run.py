@@ -256,14 +256,17 @@ class Run:
         """Return the current keyframes, which is faster than `map`."""
         return self._builder.keyframes()
 
-    def map(self, about: dict[str, Any] | None = None) -> Map:
+    def map(self) -> Map:
         """Return the current map; later data do not change it."""
-        estimator = self.estimator
-        known = self._builder.map(estimator.landmarks(), about, estimator.edges())
-        # after an error, the estimator may have a keyframe that the map has not
-        seen = estimator.observations()[: len(known.keyframes)]
-        covariance = estimator.landmark_covariance()
-        return replace(known, observations=seen, landmark_covariance=covariance)
+        known, estimator = self._builder.map(), self.estimator
+        return replace(
+            known,
+            landmarks=estimator.landmarks(),
+            landmark_covariance=estimator.landmark_covariance(),
+            edges=estimator.edges(),
+            # after an error, the estimator may have a keyframe that the map has not
+            observations=estimator.observations()[: len(known.keyframes)],
+        )
 
     def settled(self) -> Map:
         """Return the map with all keyframes refined jointly, which may take seconds."""
@@ -281,8 +284,7 @@ class Run:
         thread while the run continues. The run itself does not change.
         """
         estimate, outcome = self.estimator.draft(), self.outcome(log, "", 0)
-        known = self._builder.map(())
-        known = replace(known, observations=self.estimator.observations())
+        known = replace(self._builder.map(), observations=self.estimator.observations())
         return functools.partial(
             _finished, known, estimate, outcome, self._continuation.logs(outcome, self.scans)
         )
@@ -358,7 +360,7 @@ class Run:
             inside = np.maximum(known.edges.i, known.edges.j) < len(known.keyframes)
             edges = Edges._make(column[inside] for column in known.edges)
             return replace(known, edges=edges)
-        return self._builder.map(())
+        return self._builder.map()
 
     def _finish_observers(self, source: Source, known: Map, partial: str = "") -> Map:
         outcome = self.outcome(

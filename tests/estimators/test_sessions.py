@@ -44,8 +44,12 @@ def mapped(made, frames):
     builder = MapBuilder()
     for frame in frames:
         builder.revise(frame, made.add(frame))
-    known = builder.map(made.landmarks(), None, made.edges())
-    known = replace(known, observations=made.observations())
+    known = replace(
+        builder.map(),
+        landmarks=made.landmarks(),
+        edges=made.edges(),
+        observations=made.observations(),
+    )
     return blended(known.revised(made.settle()))
 
 
@@ -108,7 +112,7 @@ def test_a_continued_map_equals_an_uninterrupted_run(stop, tmp_path):
         revision = made.add(frame)
         assert revision.ids.max() == frame.id
         builder.revise(frame, revision)
-    resumed = builder.map(()).revised(made.settle())
+    resumed = builder.map().revised(made.settle())
     off = wrapped(resumed.keyframes.poses - whole.keyframes.poses, 2)
     assert np.abs(off).max() < 0.01
     assert len(made.landmarks()) == len(whole.landmarks)
@@ -296,7 +300,7 @@ def test_a_frozen_map_stays_and_the_drive_through_it_does_not_drift(lap):
     for k, given in enumerate(drift, n):
         frame = replace(given, id=k, lost=k == n)
         builder.revise(frame, made.add(frame))
-    there = builder.map(()).revised(made.settle())
+    there = builder.map().revised(made.settle())
     np.testing.assert_array_equal(there.keyframes.poses[:n], known.keyframes.poses)
     np.testing.assert_array_equal(there.grid().logodds, known.grid().logodds)
     assert there.keyframes.placed.all()

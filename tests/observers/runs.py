@@ -118,7 +118,7 @@ class Scripted:
         return lambda: marks
 
     def map(self):
-        return self.builder.map(tuple(self.landmarks()))
+        return replace(self.builder.map(), landmarks=tuple(self.landmarks()))
 
 
 def sweeps_of(result):

@@ -261,7 +261,7 @@ def test_path_landmarks_and_grid_move_when_a_loop_closes(monkeypatch):
             break
         if isinstance(message, LaserScan) and view.snapshot().scans:
             view._worker.join()
-            early, shown = run._builder.map(()), view.snapshot()
+            early, shown = run._builder.map(), view.snapshot()
     known, after = run.map(), view.snapshot()
     moved = np.hypot(*(known.path()[: len(early.stamps)] - early.path())[:, 1:3].T)
     assert moved.max() > 1.0

@@ -29,11 +29,12 @@ from impslam.association.assignment import (
     odds_cost,
     unclaimed_pairs,
 )
-from impslam.association.base import Assignment, Association, Hypotheses, Joint
+from impslam.association.base import Assignment, Hypotheses, Joint
 from impslam.association.branch_and_bound import NONE, search
+from impslam.association.gates import GatedAssociation
 from impslam.association.mahalanobis import Mahalanobis
 from impslam.component import parameter, register
-from impslam.geometry.chi_square import quantile, quantiles
+from impslam.geometry.chi_square import quantiles
 from impslam.types import Array, Ints, Mask, Match, Observation
 
 T = TypeVar("T", np.int64, np.float64)
@@ -139,25 +140,14 @@ class _System:
 
 
 @register("jcbb")
-class Jcbb(Association):
-    """The largest set of pairings that is compatible as a whole (Neira & Tardós 2001)."""
+class Jcbb(GatedAssociation):
+    """The largest set of pairings that is compatible as a whole (Neira & Tardós 2001).
+
+    The gate applies to each pairing alone, and to all of them jointly.
+    """
 
     is_joint: ClassVar[bool] = True
 
-    gate: float = parameter(
-        0.999,
-        "1",
-        "probability that true pairings pass the gate, each alone and all jointly",
-        gt=0,
-        lt=1,
-    )
-    new_gate: float = parameter(
-        0.999999,
-        "1",
-        "an observation within this gate of a landmark, yet not matched, is too near to be new",
-        gt=0,
-        lt=1,
-    )
     budget: int = parameter(
         2000,
         "1",
@@ -179,10 +169,6 @@ class Jcbb(Association):
         ge=1,
     )
 
-    def max_distance2(self, dof: int) -> float:
-        """Return the wider gate; see `Association.max_distance2`."""
-        return quantile(max(self.gate, self.new_gate), dof)
-
     def for_known_pose(self) -> Mahalanobis:
         """Return an association with the same gates and odds; see `Association.for_known_pose`."""
         return Mahalanobis(
@@ -199,14 +185,12 @@ class Jcbb(Association):
         if options:
             for pair in self._search(observations, hypotheses, options, joint):
                 chosen[pair.group].append(pair.p)
-        near = [self._near(*one) for one in zip(hypotheses, chosen, strict=True)]
+        near = [
+            unclaimed_pairs(group, self._near(group), pairs)
+            for group, pairs in zip(hypotheses, chosen, strict=True)
+        ]
         assignment = make_assignment(observations, zip(hypotheses, chosen, near, strict=True))
         return assignment._replace(ambiguous=ambiguous(assignment.matches, hypotheses, inside))
-
-    def _inside(self, group: Hypotheses) -> Mask:
-        """Return which pairs pass the gate individually."""
-        limit = quantile(self.gate, group.innovation.shape[-1])
-        return np.asarray((group.distance2 <= limit) & group.possible)
 
     def _options(
         self,
@@ -266,7 +250,3 @@ class Jcbb(Association):
                 break
             chosen = chosen[:worst] + chosen[worst + 1 :]
         return chosen
-
-    def _near(self, group: Hypotheses, chosen: list[int]) -> list[int]:
-        limit = quantile(self.new_gate, group.innovation.shape[-1])
-        return unclaimed_pairs(group, (group.distance2 < limit) & group.possible, chosen)

@@ -17,7 +17,8 @@ from impslam.association.assignment import (
     unambiguous_pairs,
     unclaimed_pairs,
 )
-from impslam.association.base import Assignment, Association, Hypotheses, Joint, log_normal
+from impslam.association.base import Assignment, Hypotheses, Joint, log_normal
+from impslam.association.gates import GatedAssociation
 from impslam.component import parameter, register
 from impslam.geometry.chi_square import quantile
 from impslam.types import Array, Mask, Observation
@@ -26,7 +27,7 @@ _UNIQUE_BONUS = 1e6  # a unique landmark always beats a new one
 
 
 @register("mahalanobis")
-class Mahalanobis(Association):
+class Mahalanobis(GatedAssociation):
     """Chi-square gate on the innovation, then the most likely one-to-one assignment.
 
     Once the pose is uncertain by metres, a gate alone accepts any wall. So a pairing must also be likelier
@@ -39,16 +40,6 @@ class Mahalanobis(Association):
     unless it is a piece of a wall: of two walls the likelier one is chosen.
     """
 
-    gate: float = parameter(
-        0.999, "1", "probability that a true pairing passes the chi-square gate", gt=0, lt=1
-    )
-    new_gate: float = parameter(
-        0.999999,
-        "1",
-        "an observation within this gate of a landmark, yet not matched, is too near to be new",
-        gt=0,
-        lt=1,
-    )
     density: float = parameter(
         DENSITY,
         "1/z",
@@ -63,10 +54,6 @@ class Mahalanobis(Association):
         "costs as much as this many unused observations",
         ge=1,
     )
-
-    def max_distance2(self, dof: int) -> float:
-        """Return the wider gate; see `Association.max_distance2`."""
-        return quantile(max(self.gate, self.new_gate), dof)
 
     def assign(
         self, observations: tuple[Observation, ...], hypotheses: list[Hypotheses], joint: Joint
@@ -84,26 +71,19 @@ class Mahalanobis(Association):
         unmatched = ambiguous(assignment.matches, hypotheses, inside)
         return assignment._replace(rivals=tuple(ambiguous_pairs), ambiguous=unmatched)
 
-    def _inside(self, group: Hypotheses) -> Mask:
-        """Return which pairs pass the gate."""
-        return group.possible & (group.distance2 < quantile(self.gate, group.innovation.shape[1]))
-
     def _choose(self, group: Hypotheses, inside: Mask) -> tuple[list[int], list[int]]:
         """Return the matching pairs, and the pairs that keep their observation from being new."""
-        dim = group.innovation.shape[1]
-        distance2 = group.distance2
-        cost = distance2 + group.log_det + cost_of_new(self.density, dim)
+        cost = group.distance2 + group.log_det
+        cost += cost_of_new(self.density, group.innovation.shape[1])
         if group.unique:
-            cost = distance2 - _UNIQUE_BONUS
+            cost = group.distance2 - _UNIQUE_BONUS
         likely = group.possible & (cost < 0.0)
         pairs = (inside & likely).nonzero()[0]
         arguments = group.observations[pairs], group.landmarks[pairs], cost[pairs]
         taken = unambiguous_pairs(*arguments, odds_cost(self.odds), group.in_pieces)
         pair_list = pairs.tolist()
         chosen = [pair_list[p] for p in taken]
-        return chosen, unclaimed_pairs(
-            group, likely & (distance2 < quantile(self.new_gate, dim)), chosen
-        )
+        return chosen, unclaimed_pairs(group, likely & self._near(group), chosen)
 
     def is_same_landmark(self, innovation: Array, S: Array) -> bool:
         """Return whether a difference in the gate is `odds` times as likely as two separate landmarks."""

@@ -75,6 +75,21 @@ def test_a_drive_without_noise_is_exact(make):
         assert np.abs(np.array(points) - centre).max(axis=1).min() < 1e-9
 
 
+@pytest.mark.parametrize("settle", [False, True])
+def test_the_joint_covariance_is_that_of_the_landmarks_in_their_order(make, settle):
+    made = make()
+    run(made, 12, np.random.default_rng(4))
+    if settle:
+        made.settle()
+    joint, found = made.landmark_covariance(), made.landmarks()
+    assert [mark.id for mark in found] == sorted(mark.id for mark in found)
+    assert joint.shape in {(0, 0), (2 * len(found),) * 2}
+    for k in range(len(joint) // 2):
+        own = slice(2 * k, 2 * k + 2)
+        np.testing.assert_allclose(joint[own, own], found[k].covariance, rtol=1e-9, atol=1e-15)
+    assert len(joint) or made.name not in {"landmarks", "hypotheses"}
+
+
 def test_it_starts_at_the_given_pose(make):
     start = np.array([3.0, -2.0, 2.5])
     poses, revisions = run(make(start), 10, told=NONE)

@@ -284,8 +284,7 @@ class MultipleHypotheses(Estimator):
     def landmarks(self) -> tuple[Landmark, ...]:
         """Return the landmarks of the likeliest hypothesis in the form that users read."""
         best = self._hypotheses[0]
-        found = [replace(m, id=best.ids[m.id]) for m in best.filter.landmarks()]
-        return tuple(sorted(found, key=lambda landmark: landmark.id))
+        return tuple(replace(m, id=best.ids[m.id]) for m in best.filter.landmarks())
 
     def landmark_covariance(self) -> Array:
         """Return that of the likeliest hypothesis; see `Estimator.landmark_covariance`."""

@@ -304,11 +304,7 @@ def load(base: str | Path | Table = "default", settings: Sequence[str] = ()) -> 
             "match scans instead: --set tracker.kind=scan_to_map"
         )
     config.make_estimator()
-    for role in (
-        "association",
-        "lifecycle",
-        "filter",
-    ):  # even if the estimator does not use it
+    for role in ("association", "lifecycle", "filter"):  # even if the estimator does not use it
         build(role, getattr(config, role))
     return config
 

@@ -156,7 +156,7 @@ class Run:
             self.estimator = config.make_estimator(known, frozen=frozen, hint=hint)
             self._builder = MapBuilder(known, frozen=frozen)
         self._continuation = Continuation(begin)
-        self._repeated = len(self._builder)
+        self._known_sweeps = len(self._builder)
         self._path: PathRows | None = None
         self._rng = np.random.default_rng(config.seed)
         self.clock, self.problems = Stopwatch(), Problems()
@@ -227,7 +227,7 @@ class Run:
     @property
     def scans(self) -> int:
         """Number of sweeps used so far, without those of the map that is continued."""
-        return len(self._builder) - self._repeated
+        return len(self._builder) - self._known_sweeps
 
     @property
     def odometry_notice(self) -> str:

@@ -228,9 +228,8 @@ class Jcbb(GatedAssociation):
         best, score = system.search(all_pairs)
 
         def is_ambiguous(p: int) -> bool:
-            if (
-                not system.contested[p] or hypotheses[pairs[p].group].in_pieces
-            ):  # see `unambiguous_pairs`
+            in_pieces = hypotheses[pairs[p].group].in_pieces  # see `unambiguous_pairs`
+            if not system.contested[p] or in_pieces:
                 return False
             others, other_score = system.search(np.arange(len(pairs)) != p)
             return len(others) == len(best) and other_score - score < odds_cost(self.odds)

@@ -66,9 +66,7 @@ def _show_names(names: dict[str, str]) -> None:
 
 def _show(component: type[Component]) -> None:
     console.show_columns([(component.name, component.describe())], INDENT // 2)
-    rows = [
-        row for row in parameters(component) if row[0] != "path"
-    ]  # the log's path is an argument
+    rows = [row for row in parameters(component) if row[0] != "path"]  # which is an argument
     if rows:
         console.show_columns(rows, 2 * INDENT)
 

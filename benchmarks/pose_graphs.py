@@ -29,12 +29,12 @@ from impslam.errors import NumericalError
 from impslam.geometry.se2 import between, compose
 from impslam.graph.block_system import empty_system
 from impslam.graph.cholesky import empty_factor, factorise, substitute
+from impslam.graph.edges import Costs, linearise
 from impslam.graph.elimination import eliminate
 from impslam.graph.g2o import read_g2o
 from impslam.graph.initial import initial
-from impslam.graph.pose_graph import Costs, Edges, linearise
 from impslam.graph.solve import marginals, solve
-from impslam.types import Array
+from impslam.types import Array, Edges
 
 RUNS = 5
 FIRST = np.array([0])

@@ -4,7 +4,7 @@ import numpy as np
 
 from impslam.geometry import se2
 from impslam.geometry.angles import wrap
-from impslam.graph.pose_graph import Edges
+from impslam.types import Edges
 
 
 def grid_walk(n, rng):

@@ -6,8 +6,8 @@ from impslam.errors import NumericalError
 from impslam.geometry import se2
 from impslam.geometry.angles import wrap
 from impslam.graph.initial import initial
-from impslam.graph.pose_graph import Edges
 from impslam.graph.solve import solve
+from impslam.types import Edges
 
 
 def close(poses, others, atol):

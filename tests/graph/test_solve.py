@@ -7,8 +7,9 @@ from impslam.errors import NumericalError
 from impslam.geometry import se2
 from impslam.geometry.angles import wrap
 from impslam.graph.block_system import empty_system
-from impslam.graph.pose_graph import Costs, Edges, linearise
+from impslam.graph.edges import Costs, linearise
 from impslam.graph.solve import Limits, marginals, solve
+from impslam.types import Edges
 
 FIRST = np.array([0])
 

@@ -18,14 +18,13 @@ from impslam.geometry.se2 import between, compose, inverse, motion_lengths
 from impslam.graph.bearings import ScanFeatures
 from impslam.graph.bundle import RefinementSettings, refine
 from impslam.graph.overlaps import Nearness, overlaps
-from impslam.graph.pose_graph import Edges
 from impslam.growing import GrowingArray
 from impslam.map import Keyframe, Keyframes
 from impslam.map_builder import valid_points
 from impslam.maps.grid import PlacedScans
 from impslam.maps.layout import undriven
 from impslam.recognition.submap import View, view
-from impslam.types import NO_EDGES, Array, Ints, Mask
+from impslam.types import NO_EDGES, Array, Edges, Ints, Mask
 
 Points: TypeAlias = npt.NDArray[np.float32]
 NO_POINTS: Points = np.empty((0, 2), np.float32)

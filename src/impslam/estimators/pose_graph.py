@@ -21,10 +21,10 @@ from impslam.geometry.se2 import (
     inverse,
     rotation,
 )
-from impslam.graph.pose_graph import Edges, roots
+from impslam.graph.edges import roots
 from impslam.graph.solve import marginals, solve
 from impslam.growing import GrowingArray
-from impslam.types import Array, Ints, Mask
+from impslam.types import Array, Edges, Ints, Mask
 
 KERNEL = 25.0
 """Squared Mahalanobis distance beyond which the weight of a closure decreases: 5 sigma."""

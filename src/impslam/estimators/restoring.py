@@ -15,7 +15,7 @@ from impslam.estimators.keyframe_log import DRIVEN_PER_RADIAN, KeyframeLog
 from impslam.estimators.pose_graph import CLOSURE_LENGTH, PoseGraph
 from impslam.geometry.chain import advance
 from impslam.geometry.se2 import between, compose, inverse, motion_lengths
-from impslam.graph.pose_graph import roots
+from impslam.graph.edges import roots
 from impslam.map import Keyframes, Map
 from impslam.maps.layout import undriven
 from impslam.noise import UNKNOWN

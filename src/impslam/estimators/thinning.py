@@ -24,10 +24,9 @@ from impslam.geometry.se2 import between
 from impslam.graph.bearings import Fans, nearest_feature, sort_by_bearing
 from impslam.graph.bundle import RefinementSettings, refine
 from impslam.graph.overlaps import HIDDEN_PER_RADIAN
-from impslam.graph.pose_graph import Edges
 from impslam.recognition.free_ranges import Floats
 from impslam.recognition.verify import evidence_at
-from impslam.types import Array, Ints, Mask
+from impslam.types import Array, Edges, Ints, Mask
 
 BATCH = 24  # keyframes, over some 10 m, that are judged at once for speed
 MAX_DISTANCE, MAX_TURN = 0.5, 0.4

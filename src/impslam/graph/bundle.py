@@ -27,9 +27,8 @@ from impslam.graph.block_system import (
     empty_system,
     solve_system,
 )
-from impslam.graph.pose_graph import Edges
 from impslam.surfaces.features import check_rows
-from impslam.types import Array, Ints, Mask, check_shape
+from impslam.types import Array, Edges, Ints, Mask, check_shape
 
 __all__ = [
     "Edges",

@@ -6,8 +6,7 @@ import numpy as np
 
 from impslam.errors import NumericalError
 from impslam.geometry.kernels import plain
-from impslam.graph.pose_graph import Edges
-from impslam.types import Array, Ints, Mask, check_shape
+from impslam.types import Array, Edges, Ints, Mask, check_shape
 
 
 def checked(poses: Array, edges: Edges, fixed: Ints) -> tuple[Array, Edges, Mask]:

@@ -16,9 +16,9 @@ from impslam.geometry.kernels import kernel
 from impslam.graph.block_system import BlockSystem, clear_system, empty_system
 from impslam.graph.checked import checked
 from impslam.graph.cholesky import Factor, empty_factor, factorise, substitute
+from impslam.graph.edges import first_unconnected_pose
 from impslam.graph.elimination import eliminate
-from impslam.graph.pose_graph import Edges, first_unconnected_pose
-from impslam.types import Array, Ints, Mask
+from impslam.types import Array, Edges, Ints, Mask
 
 
 def initial(poses: Array, edges: Edges, fixed: Ints) -> Array:

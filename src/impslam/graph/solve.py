@@ -21,9 +21,9 @@ from impslam.geometry.kernels import kernel
 from impslam.graph.block_system import BlockSystem, empty_system
 from impslam.graph.checked import checked
 from impslam.graph.cholesky import Factor, empty_factor, factorise, selected_inverse, substitute
+from impslam.graph.edges import Costs, first_unconnected_pose, linearise
 from impslam.graph.elimination import eliminate
-from impslam.graph.pose_graph import Costs, Edges, first_unconnected_pose, linearise
-from impslam.types import Array, Ints, Mask
+from impslam.types import Array, Edges, Ints, Mask
 
 _NARROWING = 4.0
 """Factor by which kernels narrow between two graduated descents; 1.4 (Yang et al. 2020) keeps as many true

@@ -18,8 +18,6 @@ from impslam.geometry.kernels import kernel
 from impslam.graph.block_system import BlockSystem, add_relative, clear_system
 from impslam.types import Array, Edges, Ints, Mask
 
-__all__ = ["Costs", "Edges", "edge_error", "first_unconnected_pose", "linearise", "roots"]
-
 
 class Costs(NamedTuple):
     """Chi-squares (e,) of the edges, and weights (e,) in [0, 1] by their robust kernels."""

@@ -94,17 +94,9 @@ class KeyframeLog:
     def copy(self) -> KeyframeLog:
         """Return a copy for reading, which later keyframes of this one do not change."""
         other = copy(self)  # arrays are shared: this one only writes beyond the other's end
-        for name in (
-            "_chain",
-            "_distance",
-            "_steps",
-            "_nodes",
-            "_sessions",
-            "_hosts",
-            "_T_host",
-            "_has_view",
-        ):
-            setattr(other, name, copy(getattr(self, name)))
+        for name, column in vars(self).items():
+            if isinstance(column, GrowingArray):
+                setattr(other, name, copy(column))
         other.views, other.sightings = self.views.copy(), self.sightings.copy()
         other.points = self.points.copy()
         return other

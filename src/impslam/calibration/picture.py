@@ -5,8 +5,6 @@ Importing this module imports matplotlib (0.3 s); import it only to draw.
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 from matplotlib.axes import Axes
 
@@ -19,8 +17,8 @@ from impslam.types import Array
 STYLES = (("by the config", ODOMETRY, 3.0), ("calibrated", PATH, 5.0))
 
 
-def write_picture(calibration: Calibration, file: Path, title: str) -> None:
-    """Write the first drive's path, and the residuals of all drives, as a PNG."""
+def calibration_png(calibration: Calibration, title: str) -> bytes:
+    """Draw the first drive's path, and the residuals of all drives."""
     figure = new_figure(9.0, 6.4, dpi=150)
     left, right = figure.subfigures(1, 2, squeeze=False, width_ratios=(1.15, 1.0))[0]
     figure.suptitle(title, color=INK, fontsize=10)
@@ -29,7 +27,7 @@ def write_picture(calibration: Calibration, file: Path, title: str) -> None:
     for axes, part, what in zip(panels, (0, 2), ("distance in mm", "turn in mrad"), strict=True):
         _draw_residuals(axes, calibration, part, what)
     panels[1].set_xlabel("motion of the lidar, in the order of the logs")
-    file.write_bytes(as_png(figure, **TIGHT))
+    return as_png(figure, **TIGHT)
 
 
 def _draw_path(axes: Axes, drive: CalibrationDrive, calibration: Calibration) -> None:

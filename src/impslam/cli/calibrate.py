@@ -101,7 +101,7 @@ def _calibrate(  # see `calibrate`
     """Calibrate with all motions, show and draw the result, and return it."""
     from impslam.calibration.calibrate import calibrate as solve
     from impslam.calibration.calibrate import config_tables
-    from impslam.cli.output_files import write_json
+    from impslam.cli.output_files import write_bytes, write_json
 
     chosen, drives = _read(logs, config, settings, quiet)
     found = solve(chosen, drives, keep)
@@ -110,11 +110,12 @@ def _calibrate(  # see `calibrate`
     if json is not None:
         write_json(json, _numbers(found))
     if output is not None:
-        from impslam.calibration.picture import write_picture
+        from impslam.calibration.picture import calibration_png
 
         output.parent.mkdir(parents=True, exist_ok=True)
         names = ", ".join(log.name for log in logs)
-        write_picture(found, output.with_suffix(".png"), f"Calibration from {names}")
+        picture = calibration_png(found, f"Calibration from {names}")
+        write_bytes(output.with_suffix(".png"), picture)
     comments = [
         f"{one.name}: +- {one.sigma:.2g} {one.unit}" for one in found.parameters if one.observable
     ]
@@ -209,6 +210,7 @@ def _write(
     """Write the calibrated config, based on the initial one."""
     import tomli_w
 
+    from impslam.cli.output_files import write_bytes
     from impslam.config import load, merge, parse_setting
 
     config, found, comments = result
@@ -220,7 +222,7 @@ def _write(
     names = ", ".join(log.name for log in logs)
     output.parent.mkdir(parents=True, exist_ok=True)
     text = tomli_w.dumps(merge(initial, found))
-    output.write_text(f"# Calibrated from {names}\n{lines}{text}", "utf-8")
+    write_bytes(output, f"# Calibrated from {names}\n{lines}{text}".encode())
     load(output)  # raises if the config is not valid
 
 

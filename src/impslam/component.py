@@ -315,10 +315,8 @@ def _fields_within(path: tuple[int | str, ...], known: Any) -> Any:
     """Return the fields of the inner table at a path, or `known` if there is no such table."""
     for part in path:
         kind = getattr(known.get(part), "annotation", None) if isinstance(known, Mapping) else None
-        models = [
-            m for m in (kind, *get_args(kind)) if isinstance(m, type)
-        ]  # also of `Model | None`
-        inner = [m.model_fields for m in models if issubclass(m, BaseModel)]
+        models = (kind, *get_args(kind))  # the second part is for `Model | None`
+        inner = [m.model_fields for m in models if isinstance(m, type) and issubclass(m, BaseModel)]
         if not inner:
             break
         known = inner[0]

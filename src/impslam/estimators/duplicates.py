@@ -65,10 +65,7 @@ def _fuse(pair: tuple[int, int], filter_: Filter, association: Association) -> b
         if difference is None or not association.is_same_landmark(*difference):
             return False
         filter_.fuse(*pair)
-    except (
-        NumericalError,
-        np.linalg.LinAlgError,
-    ):  # the difference is unknown: keep both
+    except (NumericalError, np.linalg.LinAlgError):  # the difference is unknown: keep both
         return False
     return True
 

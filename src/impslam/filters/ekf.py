@@ -155,9 +155,8 @@ class Ekf(GaussianFilter):
             if observation.shared is not None:
                 R = R - np.outer(observation.shared, observation.shared)
                 on = np.append(on, self._belief.error(observation.sensor))
-                J = np.column_stack(
-                    [J, -new.m_D_z @ observation.shared]
-                )  # it is at z minus the error
+                # the landmark is at z minus the error
+                J = np.column_stack([J, -new.m_D_z @ observation.shared])
             noise = new.m_D_z @ R @ new.m_D_z.T + new.slack
             offset = self._belief.append(new.m, on, J, noise)
             ids.append(self._atlas.add(self.pose, observation, offset, new.m, stamp))

@@ -12,9 +12,8 @@ import numpy.typing as npt
 @cache
 def quantile(probability: float, dof: int) -> float:
     """Return the chi-square quantile for one number of degrees of freedom."""
-    if (
-        dof == 2 and probability < 1.0
-    ):  # walls and points; saves runs with only these an import of 0.1 s
+    # Runs with only walls and points save an import of 0.1 s.
+    if dof == 2 and probability < 1.0:
         return -2.0 * math.log1p(-probability)
     return float(quantiles(probability, dof)[dof])
 

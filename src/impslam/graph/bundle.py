@@ -116,9 +116,8 @@ def refine(
     done = Refinement(plain(poses).copy(), pairs, np.zeros((m, 3, 3)), np.zeros(m))
     if len(poses) > 1:
         lasers = plain(np.broadcast_to(scans.lasers, (len(poses), 2)))
-        edges = edges._replace(
-            information=plain(edges.information)
-        )  # one compiled version for all callers
+        # one compiled version for all callers
+        edges = edges._replace(information=plain(edges.information))
         _refine(
             done,
             scans._replace(lasers=lasers),

@@ -182,9 +182,8 @@ def trace(logodds: Floats, last: Stamps, scan: int, beams: Ints, model: BeamMode
         step_x, step_y = (dx << 32) // steps, (dy << 32) // steps
         x, y = (beams[i, 0] << 32) + half, (beams[i, 1] << 32) + half
         for _ in range(steps):
-            cell = np.uint64(
-                (y >> 32) * width + (x >> 32)
-            )  # unsigned avoids a test for negative indices
+            # unsigned, which avoids a test for negative indices
+            cell = np.uint64((y >> 32) * width + (x >> 32))
             if changed[cell] != scan:
                 changed[cell] = scan
                 cells[cell] = max(cells[cell] + model.miss, -model.limit)

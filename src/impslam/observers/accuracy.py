@@ -120,9 +120,8 @@ def _nees(pairs: PosePairs, history: History) -> tuple[str, str] | None:
     P, errors = _at(history, pairs.stamps), pose_errors(pairs.estimate, pairs.truth)
     dof = 3 if np.isfinite(errors).all() else 2
     P, errors = P[:, :dof, :dof], errors[:, :dof]
-    regular = (
-        np.linalg.eigvalsh(P)[:, 0] > 1e-14
-    )  # unlike the first pose, which is exact by definition
+    # unlike the first pose, which is exact by definition
+    regular = np.linalg.eigvalsh(P)[:, 0] > 1e-14
     if not regular.any():
         return None
     values = nees(errors[regular], P[regular])

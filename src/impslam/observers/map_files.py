@@ -90,8 +90,6 @@ def write_path_table(
         row = row + ",%d"
     with path.open("w", encoding="utf-8") as stream:
         stream.write(head + "\n")
-        for begin in range(
-            0, len(values), 1000
-        ):  # in parts: Python floats take four times the memory
+        for begin in range(0, len(values), 1000):  # Python floats take four times the memory
             part = values[begin : begin + 1000]
             stream.write(f"{row}\n" * len(part) % tuple(part.ravel().tolist()))

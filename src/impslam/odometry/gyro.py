@@ -176,10 +176,7 @@ def _read(state: Array, stamp: float, rate: float) -> None:
         return
     elapsed = stamp - state[STAMP]
     if math.isnan(elapsed) or elapsed > MAX_GAP:
-        state[LAST_HEADING], state[STATIONARY_HEADING] = (
-            math.nan,
-            math.nan,
-        )  # the turn in between is not known
+        state[LAST_HEADING] = state[STATIONARY_HEADING] = math.nan  # the turn is not known
     elif elapsed > 0.0:
         state[HEADING] += rate * elapsed
     state[STAMP] = stamp if math.isnan(elapsed) else max(stamp, state[STAMP])

@@ -41,12 +41,10 @@ the points are on such: clutter seen from its other side. In a room known from i
 MAX_WALL_DISTANCE = 0.1  # m from a surface to a wall of the occupancy grid: up to two cells
 CLEARANCE = 0.15  # m, minimum distance of a lidar from a wall
 MAX_DISTANCE = 5.0  # m, at which distances are clipped
-KEYFRAME_RADIUS = (
-    10.0  # m, maximum distance from a keyframe: farther away, views overlap too little
-)
-FREE_GAP = (
-    1.1 * CELL
-)  # m from free space to cells between beams that are a degree apart, up to 10 m away
+KEYFRAME_RADIUS = 10.0
+"""m, maximum distance from a keyframe: farther away, views overlap too little."""
+FREE_GAP = 1.1 * CELL
+"""m from free space to cells between beams that are a degree apart, up to 10 m away."""
 DRIVEN_RADIUS = 1.5
 """m around a keyframe where the lidar may be in unknown space: one that looks ahead does not see the floor
 beside and behind it. In a hospital, mapped by such a lidar, a sixth of such places is unknown."""

@@ -20,12 +20,8 @@ from impslam.simulation.robot import Device
 from impslam.types import Array
 
 X, Y, HEADING, DISTANCE, SPEED, TURN_RATE, LEFT, RIGHT = range(8)  # of the state (8,)
-LOST_SHARE, TURNING, STUCK, WHEEL_ANGLE = (
-    0,
-    1,
-    2,
-    4,
-)  # of the wheels' state (6,); the last two per side
+LOST_SHARE, TURNING, STUCK, WHEEL_ANGLE = 0, 1, 2, 4
+"""Of the wheels' state (6,); the last two per side."""
 _CONTACT_GAP = 1e-9  # m between the outline and a touched obstacle, above rounding errors
 
 

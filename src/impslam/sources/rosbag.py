@@ -158,9 +158,7 @@ class RosBag(Source):
         for name, (kind, field) in CLIMATE_TYPES.items():
             topics = [c for c in bag.connections if c.msgtype == kind]
             values: list[float] = []
-            with suppress(
-                Exception
-            ):  # a damaged log is read up to the damage, which `batches` reports
+            with suppress(Exception):  # read up to any damage, which `batches` reports
                 for connection, _, data in bag.messages(topics) if topics else ():
                     values.append(float(getattr(bag.decoder(connection)(data), field)))
             if finite := [value for value in values if math.isfinite(value)]:

@@ -32,10 +32,8 @@ MIN_STRAIGHT = (
     0.9  # cosine between lines of three points on it: 26 degrees, 2 cm of noise over 5 cm
 )
 MIN_INCIDENCE = 0.12  # cosine of incidence (83 degrees): below, the beam's width smears the range
-FLATNESS, ROUGHNESS = (
-    0.05,
-    4e-4,
-)  # limit of the scatter across a surface: share of that along it, plus (2 cm)^2
+FLATNESS, ROUGHNESS = 0.05, 4e-4
+"""Limit of the scatter across a surface: share of that along it, plus (2 cm)^2."""
 NOISE_ROUGHNESS, NOISE_GAP = 2.0, 4.0
 """If the range noise is larger: that limit in variances, which 1 % of surfaces exceed with 8 neighbours on
 either side, and the minimum gap in standard deviations."""

@@ -23,10 +23,8 @@ from impslam.types import Array, Ints
 CELL = 0.05  # m: surfels of one wall are in neighbouring cells
 RADIUS = 8  # cells: a point finds a surfel up to 0.4 m away
 MIN_NORMAL_COSINE = 0.6  # 53 degrees: normals farther apart belong to two surfaces
-LONE_WEIGHT, MIXED_WEIGHT = (
-    0.2,
-    0.1,
-)  # weights of a point if neither it nor its surfel is on a surface, or only one of them
+LONE_WEIGHT, MIXED_WEIGHT = 0.2, 0.1
+"""Weights of a point if neither it nor its surfel is on a surface, or only one of them."""
 _X, _Y, _NX, _NY, _COUNT, _WEIGHT, _X0, _Y0 = range(8)
 _INSIDE, _INLIERS, _SQUARES, _WEIGHTS = range(4)
 

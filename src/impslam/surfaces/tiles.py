@@ -28,9 +28,8 @@ from impslam.types import Array, Ints
 
 CELLS = 80  # along a side of a tile's square
 TILE = CELLS * CELL  # m: a room; few tiles are in view, and little is copied when maps diverge
-MARGIN = (
-    2 * RADIUS + 1
-)  # cells: `add` takes points RADIUS + 1 from the edge, which matter up to RADIUS away
+MARGIN = 2 * RADIUS + 1
+"""Cells: `add` takes points RADIUS + 1 from the edge, which matter up to RADIUS away."""
 SURFELS = 2048  # of a tile: a quarter of its cells
 _SIZE = CELLS + 2 * MARGIN
 

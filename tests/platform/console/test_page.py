@@ -16,6 +16,10 @@ from impslam.platform.virtual.faults import parse_fault
 from impslam.types import Climate, Event
 
 PHONE = {"viewport": {"width": 390, "height": 844}, "has_touch": True, "is_mobile": True}
+ACROSS = {**PHONE, "viewport": {"width": 844, "height": 390}}
+CUT_OFF = """() => [...document.querySelectorAll('.side, .panel, .tabs, .card')]
+  .filter((e) => e.scrollWidth > e.clientWidth).map((e) => e.className)"""
+"""Script: the parts of the page that are wider than their place."""
 
 
 def test_sizes_and_durations_are_readable():
@@ -63,7 +67,7 @@ def test_latency_is_shown_with_median_and_p99():
 
 
 @pytest.mark.browser
-@pytest.mark.parametrize("context", [{}, PHONE], ids=["desktop", "phone"])
+@pytest.mark.parametrize("context", [{}, PHONE, ACROSS], ids=["desktop", "phone", "across"])
 def test_the_page_is_offline_quiet_and_fits(browser, robot, context):
     with visit(browser, robot, **context) as watched:
         page = watched.page
@@ -76,6 +80,7 @@ def test_the_page_is_offline_quiet_and_fits(browser, robot, context):
             )
             assert wide <= page.viewport_size["width"]
             assert high <= page.viewport_size["height"]
+            assert page.evaluate(CUT_OFF) == []
             box = page.get_by_test_id("stop").bounding_box()
             assert box["width"] >= 100
             assert box["height"] >= 44
@@ -85,6 +90,33 @@ def test_the_page_is_offline_quiet_and_fits(browser, robot, context):
         here = urlsplit(robot.address).netloc
         hosts = {urlsplit(url).netloc for url in watched.requests if not url.startswith("data:")}
         assert hosts == {here}
+
+
+@pytest.mark.browser
+def test_a_phone_held_across_shows_each_panel_and_the_layers_beside_the_tools(browser, robot):
+    with visit(browser, robot, **ACROSS) as watched:
+        page = watched.page
+        for tab, control in {"drive": "pad", "record": "record", "maps": "map-bin-summary"}.items():
+            page.get_by_test_id(f"tab-{tab}").click()
+            expect(page.get_by_test_id(control)).to_be_in_viewport(ratio=1)
+        page.get_by_test_id("layers").click()
+        legend = page.get_by_test_id("legend").bounding_box()
+        for tool in ("follow", "fit", "closer", "farther"):
+            box = page.get_by_test_id(tool).bounding_box()
+            assert box["x"] >= legend["x"] + legend["width"]
+
+
+@pytest.mark.browser
+def test_texts_of_the_page_are_words(browser, robot):
+    with visit(browser, robot) as watched:
+        texts = watched.page.evaluate(
+            "[...document.querySelectorAll('h1, h2, h3, button, summary, label')]"
+            ".map((e) => e.textContent)"
+        )
+    assert {"Health", "Camera", "Noise"} <= {
+        re.sub("^[a-z_]+(?=[A-Z])", "", text) for text in texts
+    }
+    assert not [text for text in texts if re.search("[A-Z][a-z]+[A-Z]", text)]
 
 
 @pytest.mark.browser

@@ -18,13 +18,13 @@ FRAMES, SCANS = 0.01, 3e-4
 """1/byte: noise that corrupts every second frame (of 70 bytes), every second scan (of 2100)."""
 FAULTS: Mapping[str, Mapping[str, faults.Fault]] = {
     "autopilot": {
-        "LineNoise": LineNoise(device="autopilot", rate=FRAMES, seconds=SECONDS),
+        "Noise": LineNoise(device="autopilot", rate=FRAMES, seconds=SECONDS),
         "Unplug": Unplug(device="autopilot", seconds=SECONDS),
         "Hold back": Delay(device="autopilot", seconds=SECONDS),
         "Reboot": Reboot(device="autopilot"),
     },
     "lidar": {
-        "LineNoise": LineNoise(device="lidar", rate=SCANS, seconds=SECONDS),
+        "Noise": LineNoise(device="lidar", rate=SCANS, seconds=SECONDS),
         "Unplug": Unplug(device="lidar", seconds=SECONDS),
         "Hold back": Delay(device="lidar", seconds=SECONDS),
         "Reboot": Reboot(device="lidar"),

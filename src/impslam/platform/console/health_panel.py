@@ -48,7 +48,7 @@ class HealthPanel:
     def __init__(self, feed: Feed, health: StationHealth) -> None:
         self._feed = feed
         self._rows: dict[str, ui.html] = {}
-        with card("DeviceHealth", "monitor_heart", "health"):
+        with card("Health", "monitor_heart", "health"):
             for name in (*health.devices, "recorder", "mapper", "page", "climate"):
                 self._rows[name] = ui.html("", sanitize=False)
                 tagged(self._rows[name], f"health-{name}").classes("health")

@@ -52,7 +52,7 @@ export default {
     </div>`,
   props: { footprint: Array, asks: Boolean },
   data: () => ({
-    pose: null, sought: false, sigma: "", state: "", why: "", mode: "fit", open: window.innerWidth > 700, tip: null, data: {}, hasTruth: false,
+    pose: null, sought: false, sigma: "", state: "", why: "", mode: "fit", open: window.innerWidth > 700 && window.innerHeight > 520, tip: null, data: {}, hasTruth: false,
     shown: Object.fromEntries(LAYERS.map(([name, , on]) => [name, on])),
   }),
   computed: {

@@ -24,7 +24,7 @@ TABS = {
     "record": ("radio_button_checked", "Record"),
     "maps": ("map", "Maps"),
     "health": ("monitor_heart", "Health"),
-    "camera": ("photo_camera", "CameraView"),
+    "camera": ("photo_camera", "Camera"),
 }
 """Tab -> icon, title. If there is room, drive has a place of its own."""
 SELECT_TAB = (
@@ -58,7 +58,7 @@ class RobotPanels:
                 if feed.model.fault is not None and viewer.session.may_drive:
                     fault_panel(feed.model.fault, viewer)
                 self._events = EventPanel()
-            with _tab("camera"), card("CameraView", "photo_camera", "camera"):
+            with _tab("camera"), card("Camera", "photo_camera", "camera"):
                 CameraView()
 
     def fast(self) -> None:

@@ -80,3 +80,15 @@ def test_a_robot_that_stands_still_has_no_offsets():
     offsets, still = initial_offsets(), np.zeros(3)
     for _ in range(500):
         assert check_offsets(offsets, still, RNG.normal(0.0, 0.003, 3), 0.1) == (NONE, 0.0)
+
+
+def test_correlated_errors_of_a_robot_that_stands_are_no_travel():
+    """The robot drives 2 m and stands: its scans determine only the direction across a slanting wall."""
+    offsets, still = initial_offsets(), np.zeros(3)
+    for _ in range(40):
+        ahead = np.array([0.05, 0.0, 0.0])
+        seen = ahead + RNG.normal(0.0, (0.003, 0.003, 0.004))
+        assert check_offsets(offsets, ahead, seen, 0.1) == (NONE, 0.0)
+    for _ in range(2000):
+        seen = RNG.normal(0.0, 0.003) * np.array([1.0, 0.3, 0.0])
+        assert check_offsets(offsets, still, seen, 0.1) == (NONE, 0.0)

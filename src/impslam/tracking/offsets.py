@@ -62,8 +62,8 @@ class Offsets(NamedTuple):
     products, errors : (lags,) sums of the products of turns by scans and by odometry at each lag, and of
         their squared differences, rad^2
     turns : (1,) number of the turns
-    sideways : (3, 3) sums of products of distance ahead, turn, and sideways difference between scans and
-        odometry
+    sideways : (3, 3) sums of products of distance ahead and turn by odometry, and sideways difference
+        between scans and odometry
     steps : (2,) number of the motions, and their distance in m
     newest : (2,) reason and amount of the newest result
     """
@@ -182,10 +182,16 @@ def _lag(offsets: Offsets) -> float:
 
 @kernel
 def _add_sideways(offsets: Offsets, odometry: Array, scans: Array) -> None:
-    row = np.array([scans[0], scans[2], scans[1] - odometry[1]])
-    keep = math.exp(-abs(scans[0]) / DISTANCE_MEMORY)
+    """Add a motion between two matches.
+
+    Distance and turn are those of odometry: errors of a match ahead and sideways are correlated, where a
+    scan determines one direction better than another, and those of a robot that stands would add up to
+    metres of travel sideways.
+    """
+    row = np.array([odometry[0], odometry[2], scans[1] - odometry[1]])
+    keep = math.exp(-abs(odometry[0]) / DISTANCE_MEMORY)
     offsets.steps[0] = keep * offsets.steps[0] + 1.0
-    offsets.steps[1] = keep * offsets.steps[1] + abs(scans[0])
+    offsets.steps[1] = keep * offsets.steps[1] + abs(odometry[0])
     for a in range(3):
         for b in range(3):
             offsets.sideways[a, b] = keep * offsets.sideways[a, b] + row[a] * row[b]

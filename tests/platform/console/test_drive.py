@@ -320,6 +320,16 @@ def test_a_lost_link_is_shown_and_leaves_the_helm(browser, robot):
 
 
 @pytest.mark.browser
+def test_a_page_whose_session_is_over_when_the_link_is_back_leads_to_the_login(browser, robot):
+    with visit(browser, robot) as watched:
+        page = watched.page
+        page.route("**/grid.png*", lambda route: route.fulfill(status=401))
+        page.route(f"{robot.address}/", lambda route: route.fulfill(body="the login"))
+        with robot.frozen():
+            expect(page.locator("body")).to_have_text("the login")
+
+
+@pytest.mark.browser
 def test_commands_that_waited_on_a_slow_link_do_not_move_the_robot(browser, robot):
     with visit(browser, robot) as watched:
         page = watched.page

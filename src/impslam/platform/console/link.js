@@ -1,4 +1,6 @@
 // Monitors the link in the browser, independently of the server.
+const ASK = 2000; // ms between questions whether the session is over, while the link is lost
+
 export default {
   template: `
     <div class="alarms" role="alert" aria-live="assertive">
@@ -16,6 +18,7 @@ export default {
   created() {
     const start = performance.now();
     this.last = start;
+    this.next = 0;
     window.impLink = {
       beat: null,
       picture: 0,
@@ -47,6 +50,16 @@ export default {
       if (lost && this.silent === null) window.dispatchEvent(new Event("imp-halt"));
       this.silent = lost ? Math.floor(seconds) : null;
       document.body.classList.toggle("link-lost", lost);
+      if (lost) this.ask();
+    },
+    // A robot that has restarted refuses the socket, as the session is over. The socket only tries again, so
+    // the page asks, and loads again if it is refused: it is then led to the login.
+    async ask() {
+      if (performance.now() < this.next) return;
+      this.next = performance.now() + ASK;
+      const options = { method: "HEAD", cache: "no-store", signal: AbortSignal.timeout(ASK) };
+      const answer = await fetch(`${window.path_prefix ?? ""}/grid.png`, options).catch(() => null);
+      if (answer?.status === 401) window.location.reload();
     },
   },
 };

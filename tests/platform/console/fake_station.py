@@ -145,7 +145,7 @@ class FakeDrive:
     """Records its commands."""
 
     stopped = False
-    title = "drive"
+    title, hindrance = "drive", ""
 
     def __init__(self) -> None:
         self.told: list[tuple[float, float, float]] = []
@@ -457,6 +457,10 @@ def serve(port: int, *, tour: bool, replay: bool) -> None:
     @api.get("/fake/lose")
     def lose(why: str = "") -> None:
         station.lost = why
+
+    @api.get("/fake/hinder")
+    def hinder(why: str = "") -> None:
+        station.drive.hindrance = why
 
     @api.get("/fake/reset")
     def reset() -> None:

@@ -321,6 +321,10 @@ def test_health_alarms_and_events(browser, robot):
         expect(row.locator("[data-state=lost]")).to_be_visible()
         robot.ask("lose?why=")
         expect(page.get_by_test_id("alarm")).to_have_count(0)
+        robot.ask("hinder?why=the%20robot%20is%20blocked")
+        expect(page.get_by_test_id("alarm")).to_have_text("warningThe robot is blocked")
+        robot.ask("hinder")
+        expect(page.get_by_test_id("alarm")).to_have_count(0)
         latency = page.get_by_test_id("latency")
         expect(latency).to_contain_text("scan to page")
         assert 0 < float(latency.get_attribute("data-median")) < 2

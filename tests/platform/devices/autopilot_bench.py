@@ -22,9 +22,11 @@ class Vehicle:
     def __init__(self):
         self.time, self.angles, self.speeds = 0.0, np.zeros(2), np.zeros(2)
         self.stalled, self.commands = (False, False), []
+        self.blocked = False  # by a wall: the wheels stand, whatever the motors do
 
     def advance(self, time):
-        self.angles += self.speeds / RADIUS * (time - self.time)
+        if not self.blocked:
+            self.angles += self.speeds / RADIUS * (time - self.time)
         self.time = time
 
     def drive(self, left, right):

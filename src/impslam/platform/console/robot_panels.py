@@ -78,17 +78,21 @@ class RobotPanels:
             background_tasks.create(self._logs.update(), name="logs")
             background_tasks.create(self._maps.update(), name="maps")
         self._count += 1
-        return self._alarms(health)
+        return self._alarms(health, helm.hindrance)
 
     def leave(self) -> None:
         """Leave the helm."""
         self._drive.leave()
 
-    def _alarms(self, health: StationHealth) -> list[str]:
-        """Return which devices are lost; a drive device comes first, since it cannot be stopped."""
+    def _alarms(self, health: StationHealth, hindrance: str) -> list[str]:
+        """Return which devices are lost, and why the robot does not move as it is driven.
+
+        A drive device comes first, since it cannot be stopped.
+        """
         lost = [name for name, one in health.devices.items() if one.state == "lost"]
         lost.sort(key=lambda name: not isinstance(self._station.devices.get(name), DriveDevice))
-        return [f"{name} lost: {health.devices[name].detail}" for name in lost]
+        alarms = [f"{name} lost: {health.devices[name].detail}" for name in lost]
+        return [*alarms, hindrance[:1].upper() + hindrance[1:]] if hindrance else alarms
 
 
 def _tabs() -> None:

@@ -26,8 +26,9 @@ from impslam.platform.devices.autopilot_readings import Readings
 from impslam.platform.devices.base import DeviceError, DriveDevice, now
 from impslam.platform.devices.clock import DeviceClock
 from impslam.platform.devices.framing import Decoder, Frame
+from impslam.platform.devices.motion_watch import MotionWatch
 from impslam.platform.devices.port import opened, read_some
-from impslam.types import DeviceTime
+from impslam.types import DeviceTime, WheelAngles
 
 REOPEN_TIMEOUT = 2.0  # s without a frame until the port is reopened, as after a hang of the adapter
 MAX_ABSENCE = 300.0  # s for which losses are counted; the sequence wraps after 655 s
@@ -41,6 +42,7 @@ _FLAGS: dict[Flag, tuple[Level, str, str]] = {
     Flag.STALL_RIGHT: ("warning", "right motor stalls", "right motor turns again"),
     Flag.LOW_SUPPLY: ("warning", "supply is low; charge the battery", "supply is well again"),
 }
+_STANDS = "the robot is driven, but its wheels stand: it is blocked, or its motors have no power"
 
 
 @dataclass(slots=True)
@@ -48,6 +50,7 @@ class _State:
     """The state of the micro-controller; it outlives a connection."""
 
     readings: Readings
+    watch: MotionWatch = field(default_factory=MotionWatch)
     clock: DeviceClock = field(default_factory=DeviceClock)
     decoder: Decoder | None = None
     boot: int | None = None
@@ -102,7 +105,9 @@ class Autopilot(DriveDevice):
 
     def drive(self, speed: float, turn_rate: float) -> None:
         """Command a forward speed (m/s) and a turn rate (rad/s); see `DriveDevice.drive`."""
-        self._link.drive(*self.wheel_speeds(speed, turn_rate))
+        left, right = self.wheel_speeds(speed, turn_rate)
+        self._state.watch.command(left, right)
+        self._link.drive(left, right)
 
     def emergency_stop(self) -> None:
         """Stop and stay stopped; see `DriveDevice.emergency_stop`."""
@@ -116,6 +121,13 @@ class Autopilot(DriveDevice):
     def stopped(self) -> bool:
         """Whether an emergency stop is active and no release has been sent."""
         return bool(self._state.flags & Flag.STOPPED) and not self._link.releasing
+
+    @property
+    def hindrance(self) -> str:
+        """Which motors stall, or that the wheels stand; see `DriveDevice.hindrance`."""
+        flags = self._state.flags
+        stalls = [_FLAGS[f][1] for f in (Flag.STALL_LEFT, Flag.STALL_RIGHT) if flags & f]
+        return ", ".join(stalls) or (_STANDS if self._state.watch.stands else "")
 
     def latency(self) -> tuple[float, float]:
         """Return median and 99th percentile of the time from command to answer, s; NaN before one."""
@@ -228,7 +240,16 @@ class Autopilot(DriveDevice):
             return
         for message in state.readings.messages(sensors, state.hello, stamp):
             self._deliver(message, arrived, device)
+            if isinstance(message, WheelAngles):
+                self._watch_motion(message)
         self._deliver(DeviceTime(stamp, self.title, device), arrived, device)
+
+    def _watch_motion(self, wheels: WheelAngles) -> None:
+        """Notify once that the robot stands although it is driven."""
+        state = self._state
+        driven = not state.flags & (Flag.STOPPED | Flag.DEAD_MAN)
+        if state.watch.update((wheels.left, wheels.right), wheels.stamp, driven=driven):
+            self._notify("warning", _STANDS)
 
     def _stamp(self, device: float, arrived: float) -> float:
         """Return the host time of a reading, and count jumps and stalls of the clocks."""

@@ -239,6 +239,11 @@ class DriveDevice(Device):
         """Whether it reports an active emergency stop, from any source."""
         return False
 
+    @property
+    def hindrance(self) -> str:
+        """Why the robot does not move as it is driven, in one line; "" if it does, or is not known."""
+        return ""
+
     @abstractmethod
     def drive(self, speed: float, turn_rate: float) -> None:
         """Command a forward speed (m/s) and a turn rate (rad/s); the device stops after a timeout.

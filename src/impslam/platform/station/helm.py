@@ -36,6 +36,7 @@ class HelmState:
     name : the driver's name on the page, "" if nobody drives
     stopped : why the emergency stop is active, "" if it is not
     speed, turn_rate : m/s and rad/s, the present command to the device
+    hindrance : why the robot does not move as it is driven, "" if it does
     """
 
     driver: str | None
@@ -43,6 +44,7 @@ class HelmState:
     stopped: str
     speed: float
     turn_rate: float
+    hindrance: str = ""
 
 
 class Helm:
@@ -173,7 +175,9 @@ class Helm:
         """Return who drives and the present command."""
         with self._lock:
             driver, name = self._driver or (None, "")
-            return HelmState(driver, name, self._stop_reason(), *self._current_command())
+            hindrance = "" if self._device is None else self._device.hindrance
+            command = self._current_command()
+            return HelmState(driver, name, self._stop_reason(), *command, hindrance)
 
     def _stop_reason(self) -> str:
         """Return why the robot is stopped; the device may hold a stop from before this program ran."""

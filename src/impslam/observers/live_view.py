@@ -12,7 +12,7 @@ from typing import Protocol
 import numpy as np
 
 from impslam.geometry.se2 import compose, inverse, transform
-from impslam.health import DEGRADED, STATES, TRACKING, state_of
+from impslam.health import DEGRADED, LOST, STATES, TRACKING, state_of
 from impslam.map import Keyframe, Keyframes, Map, PathRows, Revision, Track
 from impslam.map_builder import valid_points
 from impslam.maps.grid import OccupancyGrid
@@ -219,6 +219,18 @@ class LiveView(Observer):
             state=STATES[DEGRADED],
             why=f"lidar silent for {max(silent, 1.0):.0f} s; the pose is dead-reckoned",
             arrived=float("nan"),
+        )
+
+    def end(self, why: str) -> None:
+        """Show that the run is over, and that the robot is not followed any more."""
+        self._snapshot = replace(
+            self._snapshot,
+            version=self._snapshot.version + 1,
+            points=NO_POINTS,
+            state=STATES[LOST],
+            why=why,
+            arrived=float("nan"),
+            finished=True,
         )
 
     def truth(self, pose: TruePose) -> None:

@@ -316,6 +316,9 @@ class FakeStation:
         self.mapper.state = "running"
         self.mapper.starts += 1
 
+    def end_mapping(self) -> None:
+        self.mapper.state = "off"
+
     def continue_map(self, name: str, *, frozen: bool = False) -> None:
         self.start_mapping()
         self.mapper.name, self.mapper.frozen, self.mapper.placed = name, frozen, False

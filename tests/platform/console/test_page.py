@@ -278,6 +278,11 @@ def test_mapping_is_restarted_and_saved(browser, robot):
         expect(page.get_by_test_id("map-saved")).to_contain_text("maps/map-20261121-101500")
         link = page.get_by_test_id("map-download")
         expect(link).to_have_attribute("href", "/maps/map-20261121-101500.zip")
+        page.get_by_test_id("map-end").click()
+        expect(page.get_by_test_id("mapping")).to_contain_text("Not mapping")
+        expect(page.get_by_test_id("map-end")).to_be_hidden()
+        page.get_by_test_id("map-start").click()
+        expect(page.get_by_test_id("mapping")).to_contain_text("Mapping")
 
 
 def test_every_fault_on_the_page_exists_in_a_virtual_robot():

@@ -22,14 +22,18 @@ class Toy:
 
     def __init__(self):
         self.steps, self.saved, self.full, self.error, self.pause = 0, [], [], "", 0.0
+        self.state = "running"
 
     kind = ImpError
 
     def start(self, continued=None):
         self.steps = 0
 
+    def stop(self):
+        self.state = "off"
+
     def status(self):
-        return MapperStatus("running", self.steps, 0, 0, 0.0, 0.0, "")
+        return MapperStatus(self.state, self.steps, 0, 0, 0.0, 0.0, "")
 
     def save_map(self, folder):
         time.sleep(self.pause)
@@ -96,6 +100,16 @@ def test_a_new_map_saves_the_present_one_and_has_a_folder_of_its_own(keeper, toy
     assert toy.saved == [("map-1", 3), ("map-1-2", 4)]
 
 
+def test_an_ended_map_is_saved_and_is_not_being_made(keeper, toy):
+    toy.steps = 3
+    keeper.end()
+    assert (toy.state, toy.saved, keeper.name) == ("off", [("map-1", 3)], "")
+    keeper.save()
+    assert toy.saved == [("map-1", 3), ("map-1", 3)]
+    with pytest.raises(ImpError, match="mapping has ended"):
+        keeper.hint(0.0, 0.0)
+
+
 def test_manual_saving_writes_all_files_to_the_same_folder(keeper, toy, tmp_path):
     toy.steps = 3
     threads = [threading.Thread(target=keeper.save) for _ in range(4)]
@@ -152,7 +166,8 @@ def test_a_live_map_can_be_loaded_from_its_file(tmp_path, notices):
     drain(mapper)
     mapper.stop()
     keeper.stop()
-    known = Map.load(tmp_path / keeper.name / "map.imp")
+    (path,) = tmp_path.glob("map-*/map.imp")
+    known = Map.load(path)
     assert len(known.stamps) == mapper.status().steps > 10
     assert known.about["counts"]["steps"] == len(known.stamps)
     assert notices == []

@@ -439,7 +439,8 @@ def test_missing_odometry_is_reported(room, monkeypatch, wheels):
 
 
 def test_a_failing_estimator_is_a_one_line_error_and_can_be_restarted(room, caplog):
-    mapper = live(slow(fails_at=5))
+    view = LiveView()
+    mapper = live(slow(fails_at=5), view)
     mapper.start()
     with caplog.at_level(logging.ERROR, "impslam"):
         for message in room:
@@ -450,6 +451,8 @@ def test_a_failing_estimator_is_a_one_line_error_and_can_be_restarted(room, capl
         wait_until(lambda: mapper.status().state == "failed")
     status = mapper.status()
     assert status.detail.startswith("ZeroDivisionError: two lines;")
+    wait_until(lambda: view.snapshot().finished)
+    assert view.snapshot().why == "mapping has failed; the robot is not followed"
     assert len([r for r in caplog.records if r.levelno >= logging.ERROR]) == 1
     mapper.put(room[0])
     mapper.stop()

@@ -10,6 +10,7 @@ import pytest
 from tests.platform.station.test_mapper import drain
 from tests.recorded import perfect
 from tests.rings import GRAPH, ring
+from tests.waiting import wait_until
 
 from impslam.errors import ImpError
 from impslam.map import Map
@@ -161,6 +162,27 @@ def test_a_continued_map_is_saved_as_a_new_one(corridors):
     assert grown.scans == 2 * first.scans
     known = Map.load(robot.maps.path(grown.name) / "map.imp")
     assert known.keyframes.placed.all()
+    robot.maps.delete(name)
+
+
+def test_an_ended_map_can_be_continued_or_deleted(corridors):
+    robot, messages = corridors
+    name = robot.keeper.name
+    with pytest.raises(ImpError, match="being made"):
+        robot.maps.delete(name)
+    robot.end_mapping()
+    scans = robot.mapper.status().steps
+    assert [(one.name, one.scans, one.mapping) for one in robot.maps.maps()] == [
+        (name, scans, False)
+    ]
+    wait_until(lambda: robot.view.snapshot().finished)
+    shown = robot.view.snapshot()
+    assert (shown.state, shown.why) == ("LOST", "mapping has ended; the robot is not followed")
+    assert len(shown.path) > 0
+    robot.continue_map(name)
+    send(robot, messages[:100])
+    assert not robot.view.snapshot().finished
+    robot.end_mapping()
     robot.maps.delete(name)
 
 

@@ -22,8 +22,8 @@ export default {
         <span v-else-if="sought" class="sought" data-testid="sought" role="status">
           {{ state === "LOST" ? "" : "Where the robot is in the map is not known yet. " }}Drive on{{
           asks ? ", or click where it is" : "" }}.</span>
-        <span v-else class="soft">No map yet</span>
-        <div v-if="pose || (sought && state !== 'TRACKING')" :class="'pose-state ' + state" data-testid="pose-state" role="status">
+        <span v-else-if="state !== 'LOST'" class="soft">No map yet</span>
+        <div v-if="pose || state === 'LOST' || (sought && state !== 'TRACKING')" :class="'pose-state ' + state" data-testid="pose-state" role="status">
           <b>{{ state }}</b><span v-if="why">{{ why }}</span></div>
       </div>
       <div class="layers" :class="{ open }">
@@ -122,7 +122,7 @@ export default {
     },
     tell(frame) {
       const moved = frame.scans > 0 && frame.placed;
-      this.sought = !frame.placed;
+      this.sought = !frame.placed && !frame.finished;
       this.pose = moved ? frame.pose : null;
       this.sigma = moved && frame.sigma[0] !== null
         ? `${(100 * frame.sigma[0]).toFixed(1)} cm, ${((frame.turn * 180) / Math.PI).toFixed(1)}°` : "";

@@ -1,4 +1,4 @@
-"""The panel to start and save the map."""
+"""The panel to start, save and end the map."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ STATE_TEXTS = {
 
 
 class MappingPanel:
-    """Buttons to begin and save a map, and the status of the mapper."""
+    """Buttons to begin, save and end a map, and the status of the mapper."""
 
     def __init__(self, station: Station, viewer: Viewer) -> None:
         self._station, self._viewer = station, viewer
@@ -34,6 +34,7 @@ class MappingPanel:
                 self._restart = button(
                     "New map", "map-new", self._on_restart, "plain", "restart_alt"
                 )
+                self._end = button("End mapping", "map-end", self._on_end, "plain", "stop")
                 self._save = button("Save", "map-save", self._on_save, "plain", "save")
                 self._status = text("mapping", "", "soft")
             with line("saved") as self._saved_line:
@@ -43,9 +44,9 @@ class MappingPanel:
 
     def update(self, status: MapperStatus) -> None:
         """Show the present status of the mapper."""
-        on = status.state in {"running", "compiling"}
-        show(self._start, self._may and not on)
-        show(self._restart, self._may and on)
+        show(self._start, self._may and not status.on)
+        show(self._restart, self._may and status.on)
+        show(self._end, self._may and status.on)
         show(self._save, self._may and status.steps > 0 and not status.frozen)
         scans = f" · {status.steps} scans" if status.steps else ""
         self._status.text = _status_text(status) + (
@@ -61,6 +62,11 @@ class MappingPanel:
             "Begin a new map? The present one stays under Maps.", "New map"
         ):
             await self._on_start()
+
+    async def _on_end(self) -> None:
+        self._status.text = "Saving …"
+        await self._viewer.run(self._station.end_mapping)
+        self.update(self._station.mapper.status())
 
     async def _on_save(self) -> None:
         self._status.text = "Saving …"

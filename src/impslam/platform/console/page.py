@@ -102,7 +102,8 @@ class Page:
     def _update_slow(self) -> None:
         if isinstance(self._panels, RobotPanels):
             self._link.warn(self._panels.slow())
-            self._map.accept_hints(bool(self._feed.health().mapping.name))
+            mapping = self._feed.health().mapping
+            self._map.accept_hints(mapping.on and bool(mapping.name))
 
     def _end(self) -> None:
         """Reload the page, as the session has ended; the guard then requires a login."""

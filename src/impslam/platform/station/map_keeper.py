@@ -48,8 +48,9 @@ class MapKeeper:
 
     @property
     def name(self) -> str:
-        """The folder name of the present map, "" before it is first saved."""
-        return "" if self._target is None else self._target.name
+        """The folder name of the map that is being made, "" before it is first saved, or if none is."""
+        target = self._target
+        return target.name if target is not None and self._mapper.status().on else ""
 
     def start(self) -> None:
         """Start to save every minute; remove partial files that an earlier program left."""
@@ -81,6 +82,18 @@ class MapKeeper:
             self._mapper.start(continued)
             self._target, self._saved_steps = None, 0
 
+    def end(self) -> None:
+        """End mapping, and save the map. It can still be saved with all files, and be continued.
+
+        Raises
+        ------
+        ImpError
+            If the map cannot be saved; it is tried again every minute.
+        """
+        with self._saving:
+            self._mapper.stop()
+            self._save_if_new()
+
     def hint(self, x: float, y: float) -> None:
         """Restart the search for the robot in the continued map, near a position, m.
 
@@ -89,12 +102,15 @@ class MapKeeper:
         Raises
         ------
         ImpError
-            If no map is continued, or the robot is already located in it.
+            If no map is continued, or the robot is already located in it, or mapping has ended.
         """
         with self._saving:
-            continued, status = self._mapper.continued, self._mapper.status()
+            status = self._mapper.status()
+            if not status.on:
+                raise ImpError("a hint is not needed; mapping has ended")
             if status.placed:
                 raise ImpError("a hint is not needed; the robot is already located in the map")
+            continued = self._mapper.continued
             if continued is None:
                 raise ImpError("a hint needs a continued map; drive on until the robot is located")
             self._mapper.start(continued.with_hint(x, y))

@@ -274,6 +274,10 @@ class _Mapping:
         except Exception as error:  # the robot keeps running without a map
             log.debug("mapping failed", exc_info=True)
             self._fail(f"{type(error).__name__}: {error}; start a new map, and please report it")
+        # Until a new map begins, the page would show the last pose as if it were the present one.
+        self._view.end(
+            f"mapping has {'failed' if self._failure else 'ended'}; the robot is not followed"
+        )
 
     def _fail(self, reason: str) -> None:
         if self.open:

@@ -39,5 +39,10 @@ class MapperStatus:
     frozen: bool = False
     placed: bool = True
 
+    @property
+    def on(self) -> bool:
+        """Whether a map is being made, or will be after compiling."""
+        return self.state in {"running", "compiling"}
+
 
 OFF = MapperStatus("off", 0, 0, 0, float("nan"), float("nan"), "")

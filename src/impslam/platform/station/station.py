@@ -109,6 +109,10 @@ class Station:
         """Save the present map and begin a new one, with the robot at its origin."""
         self.keeper.begin()
 
+    def end_mapping(self) -> None:
+        """Save the present map and end mapping."""
+        self.keeper.end()
+
     def continue_map(self, name: str, *, frozen: bool = False) -> None:
         """Save the present map and continue one of the store, or (`frozen`) localise in it.
 

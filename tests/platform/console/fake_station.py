@@ -76,6 +76,7 @@ class FakeView:
         self.seen = np.zeros((ROWS, COLUMNS), np.uint8)
         self.path: list[Array] = []
         self.count, self.placed = 0, True
+        self.begins_at = 0.0  # monotonic
         self.now: Snapshot = Snapshot(
             0, 1, math.nan, 0, np.zeros(3), np.zeros((3, 3)), np.zeros(3), np.zeros((0, 2), np.float32),
             (), np.zeros((0, 2), np.float32), None, "TRACKING", "", math.nan, None, False,
@@ -84,8 +85,17 @@ class FakeView:
     def snapshot(self) -> Snapshot:
         return self.now
 
+    def begin(self) -> None:
+        """Begin a new map, whose first scan comes half a second later."""
+        self.seen = np.zeros((ROWS, COLUMNS), np.uint8)
+        self.path, self.count, self.begins_at = [], 0, time.monotonic() + 0.5
+        empty = FakeView().now
+        self.now = replace(empty, version=self.now.version + 1, run=self.now.run + 1)
+
     def move(self, pose: Array, odometry: Array, arrived: float) -> None:
         """Show one more scan."""
+        if time.monotonic() < self.begins_at:
+            return
         self.count += 1
         far = ranges(pose)
         valid = far < 5.6
@@ -98,7 +108,8 @@ class FakeView:
         grown = 0.004 + 0.0004 * math.hypot(pose[0], pose[1])
         covariance = np.diag([4 * grown**2, grown**2, 0.006**2])
         self.now = Snapshot(
-            self.now.version + 1, 1, arrived, self.count, pose.copy(), covariance, odometry.copy(),
+            self.now.version + 1, self.now.run, arrived, self.count,
+            pose.copy(), covariance, odometry.copy(),
             np.array([*self.path, pose[:2]], np.float32), self._landmarks(arrived),
             ends[valid].astype(np.float32),
             self._grid() if self.count % 10 == 1 else self.now.grid, "TRACKING", "",
@@ -424,6 +435,22 @@ class Sessions:
         await self.app(scope, receive, send)
 
 
+def _serve_troubles(api: FastAPI, station: FakeStation) -> None:
+    """Serve paths at which a test says what happens to the robot."""
+
+    @api.get("/fake/lose")
+    def lose(why: str = "") -> None:
+        station.lost = why
+
+    @api.get("/fake/hinder")
+    def hinder(why: str = "") -> None:
+        station.drive.hindrance = why
+
+    @api.get("/fake/begin")
+    def begin() -> None:
+        station.view.begin()
+
+
 def serve(port: int, *, tour: bool, replay: bool) -> None:
     """Serve the page until the process is ended."""
     api = FastAPI()
@@ -457,13 +484,7 @@ def serve(port: int, *, tour: bool, replay: bool) -> None:
         request.state.session.end()
         return Response("logged out", media_type="text/plain")
 
-    @api.get("/fake/lose")
-    def lose(why: str = "") -> None:
-        station.lost = why
-
-    @api.get("/fake/hinder")
-    def hinder(why: str = "") -> None:
-        station.drive.hindrance = why
+    _serve_troubles(api, station)
 
     @api.get("/fake/reset")
     def reset() -> None:

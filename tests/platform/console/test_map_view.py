@@ -4,6 +4,8 @@ import base64
 import json
 import math
 import threading
+import urllib.error
+import urllib.request
 from dataclasses import replace
 
 import numpy as np
@@ -368,6 +370,38 @@ def test_pages_have_views_of_their_own(browser, robot):
         one.page.get_by_test_id("follow").click()
         one.page.wait_for_timeout(300)
         expect(other.page.get_by_test_id("fit")).to_have_attribute("aria-pressed", "true")
+
+
+@pytest.mark.browser
+def test_a_new_map_replaces_the_one_before_on_a_page_that_shows_all(browser, robot):
+    """The view of all follows the grid, whose picture is loaded later than the frame."""
+    with visit(browser, robot, "watcher") as watched:
+        page = watched.page
+        expect(page.get_by_test_id("fit")).to_have_attribute("aria-pressed", "true")
+        until(lambda: any("/grid.png" in url for url in watched.requests))
+        page.wait_for_timeout(1000)
+        run = int(page.get_by_test_id("map").get_attribute("data-run"))
+        robot.ask("begin")
+        expect(page.get_by_test_id("map")).to_have_attribute("data-run", str(run + 1))
+        page.wait_for_function(
+            "Number(document.querySelector('[data-testid=map]').dataset.scans) > 5"
+        )
+        assert not watched.complaints
+
+
+@pytest.mark.browser
+def test_the_grid_is_asked_for_without_its_picture(robot):
+    asked = urllib.request.Request(f"{robot.address}/grid.png", method="HEAD")
+
+    def answer():
+        try:
+            with urllib.request.urlopen(asked, timeout=5) as found:
+                return found.status, found.read()
+        except urllib.error.HTTPError as refused:
+            return refused.code, b""
+
+    until(lambda: answer() != (404, b""))  # before the first grid
+    assert answer() == (200, b"")
 
 
 @pytest.mark.browser

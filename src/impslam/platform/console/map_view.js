@@ -89,7 +89,8 @@ export default {
     frame(frame) {
       const map = this.map;
       if (frame.run !== map.run) {
-        Object.assign(map, { run: frame.run, dead: [], truth: [], path: new Float32Array(0), grid: null, picture: null });
+        const empty = { dead: [], truth: [], path: new Float32Array(0), grid: null, source: null, picture: null, placed: null };
+        Object.assign(map, empty, { run: frame.run });
         map.marks.clear();
       }
       Object.assign(map, {

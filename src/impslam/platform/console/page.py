@@ -33,7 +33,7 @@ def build(model: Model) -> None:
     def index(request: Request) -> None:
         Page(feed, Viewer(request.state.session, ui.context.client))
 
-    @app.get("/grid.png")
+    @app.api_route("/grid.png", methods=["GET", "HEAD"])  # HEAD: by a page that has lost its link
     def grid() -> Response:
         picture = model.view.snapshot().grid
         headers = {"Cache-Control": "no-store"}

@@ -55,7 +55,7 @@ export function bounds(map, shown) {
   for (const [, , x, y, , ends] of map.marks.values()) {
     if (ends) { add(ends[0], ends[1]); add(ends[2], ends[3]); } else add(x, y);
   }
-  if (map.placed && shown.grid) {
+  if (map.picture && shown.grid) {
     const { o: [x, y], r, s: [, rows] } = map.placed;
     const [first, top, last, bottom] = map.picture.seen;
     if (last > first) {
@@ -94,7 +94,7 @@ export function paint(context, { map, view, width, height, shown, colours, footp
 }
 
 function picture({ context, map, view, X, Y }) {
-  if (!map.picture || !map.placed) return;
+  if (!map.picture) return;
   const { o: [x, y], r, s: [columns, rows] } = map.placed;
   context.imageSmoothingEnabled = r * view.scale < 3;
   context.drawImage(map.picture.canvas, X(x), Y(y + r * rows), r * columns * view.scale, r * rows * view.scale);

@@ -10,6 +10,7 @@ from tests.platform.console.browsing import until, visit
 
 from impslam.platform.console.fault_panel import FAULTS
 from impslam.platform.console.health_panel import climate_row, device_row, event_row, page_row
+from impslam.platform.console.page import STYLE
 from impslam.platform.console.widgets import duration, size
 from impslam.platform.devices.base import DeviceHealth
 from impslam.platform.virtual.faults import parse_fault
@@ -33,6 +34,23 @@ def test_texts_of_devices_are_escaped():
     for made in (device_row(evil, health), event_row(Event(0.0, evil, evil, evil))):
         assert "<img" not in made
         assert "&lt;img" in made
+
+
+def luminance(colour):
+    """Return the relative luminance of "#rrggbb" (WCAG 2.2)."""
+    shares = [int(colour[k : k + 2], 16) / 255 for k in (1, 3, 5)]
+    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in shares]
+    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+
+
+@pytest.mark.parametrize("theme", [":root", "body.body--dark"])
+def test_texts_have_the_contrast_of_wcag_aa(theme):
+    rule = re.search(re.escape(theme) + r" \{(.*?)\}", STYLE.read_text(), re.DOTALL)
+    colours = dict(re.findall(r"--(\w+): (#\w{6})", rule[1]))
+    for text in ("ink", "soft", "accent", "good", "warn", "bad", "point", "wall"):
+        for ground in ("page", "card", "map"):
+            light, dark = sorted((luminance(colours[text]), luminance(colours[ground])))[::-1]
+            assert (light + 0.05) / (dark + 0.05) >= 4.5, (text, ground)
 
 
 def test_the_climate_is_shown_and_its_age_checked():

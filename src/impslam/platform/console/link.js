@@ -18,7 +18,6 @@ export default {
   created() {
     const start = performance.now();
     this.last = start;
-    this.next = 0;
     window.impLink = {
       beat: null,
       picture: 0,
@@ -47,13 +46,16 @@ export default {
     check() {
       const seconds = (performance.now() - this.last) / 1000;
       const lost = seconds >= this.patience;
-      if (lost && this.silent === null) window.dispatchEvent(new Event("imp-halt"));
+      if (lost && this.silent === null) {
+        window.dispatchEvent(new Event("imp-halt"));
+        this.next = performance.now() + ASK;
+      }
       this.silent = lost ? Math.floor(seconds) : null;
       document.body.classList.toggle("link-lost", lost);
       if (lost) this.ask();
     },
     // A robot that has restarted refuses the socket, as the session is over. The socket only tries again, so
-    // the page asks, and loads again if it is refused: it is then led to the login.
+    // the page asks if the link stays lost, and loads again if it is refused: it is then led to the login.
     async ask() {
       if (performance.now() < this.next) return;
       this.next = performance.now() + ASK;

@@ -45,6 +45,28 @@ def put(robot: Body, x: float, y: float, heading: float) -> Body:
     return robot
 
 
+def test_a_carried_robot_stands_elsewhere_and_its_wheels_and_gyro_notice_nothing():
+    robot = Body(ARENA, PERFECT, drivetrain=AT_ONCE)
+    robot.drive(0.3, 0.3)
+    robot.advance(1.0)
+    wheels, start = robot.wheel_angles(), robot.pose
+    robot.put_down(4.0, 1.0)
+    np.testing.assert_array_equal(robot.pose, [4.0, 1.0, start[2]])
+    assert robot.wheel_angles() == wheels
+    robot.drive(0.0, 0.0)
+    robot.advance(1.1)
+    np.testing.assert_allclose(robot.pose, [4.0, 1.0, start[2]], atol=1e-3)
+    np.testing.assert_allclose(robot.inertial()[0], 0.0)
+
+
+def test_a_robot_is_not_put_down_on_an_obstacle():
+    robot = Body(ARENA, PERFECT)
+    before = robot.pose
+    with pytest.raises(ConfigError, match="an obstacle is"):
+        robot.put_down(*ARENA.cylinders[0].centre)
+    np.testing.assert_array_equal(robot.pose, before)
+
+
 # ---------------------------------------------------------------------------------- motion
 
 

@@ -20,6 +20,7 @@ from impslam.simulation.body_motion import (
     TURN_RATE,
     WHEEL_ANGLE,
     Drivetrain,
+    clearance,
     roll,
     run,
 )
@@ -106,6 +107,23 @@ class Body:
     def stall(self, side: str, on: bool) -> None:
         """Block the motors of one side ("left" or "right"), or free them again."""
         self._stalled[("left", "right").index(side)] = on
+
+    def put_down(self, x: float, y: float) -> None:
+        """Move the robot to a position, m, without turning its wheels; it keeps its heading.
+
+        Raises
+        ------
+        ConfigError
+            If an obstacle is there.
+        """
+        self._update_doors()
+        gap, _, _ = clearance(x, y, self._obstacles)
+        if gap < self.world.robot.radius:
+            raise ConfigError(
+                f"the robot cannot stand at {x:g}, {y:g} m: an obstacle is {gap:.2f} m away; its radius "
+                f"is {self.world.robot.radius:g} m"
+            )
+        self._state[:2] = x, y
 
     def advance(self, time: float) -> None:
         """Simulate up to a time in s since the start; do nothing if the time has passed."""

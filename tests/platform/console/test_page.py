@@ -305,7 +305,7 @@ def test_mapping_is_restarted_and_saved(browser, robot):
 
 def test_every_fault_on_the_page_exists_in_a_virtual_robot():
     asked = [parse_fault(f.model_dump()) for faults in FAULTS.values() for f in faults.values()]
-    kinds = {"noise", "delay", "unplug", "reboot", "malfunction", "stall"}
+    kinds = {"noise", "delay", "unplug", "reboot", "malfunction", "stall", "carry"}
     assert {fault.fault for fault in asked} == kinds
 
 

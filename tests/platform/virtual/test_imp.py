@@ -153,6 +153,13 @@ def test_both_sides_can_stall(imp):
     np.testing.assert_array_equal(imp.truth()["pose"], 0.0)
 
 
+def test_a_robot_is_carried_to_a_place_or_its_start(imp):
+    imp.fault(parse_fault({"fault": "carry", "place": [0.5, 0.25]}))
+    np.testing.assert_array_equal(imp.truth()["pose"], [0.5, 0.25, 0.0])
+    imp.fault(parse_fault({"fault": "carry"}))
+    np.testing.assert_array_equal(imp.truth()["pose"], 0.0)
+
+
 def test_faults_reach_the_line_or_the_device_that_they_are_for(imp):
     imp.add_camera(camera := Camera())
     with open_port(imp.ports()["autopilot"], 115200) as port:

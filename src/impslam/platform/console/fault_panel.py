@@ -11,7 +11,15 @@ from impslam.platform.console.model import Fault
 from impslam.platform.console.viewer import Viewer
 from impslam.platform.console.widgets import button, card, line, tagged
 from impslam.platform.virtual import faults
-from impslam.platform.virtual.faults import Delay, LineNoise, Malfunction, Reboot, Stall, Unplug
+from impslam.platform.virtual.faults import (
+    Carry,
+    Delay,
+    LineNoise,
+    Malfunction,
+    Reboot,
+    Stall,
+    Unplug,
+)
 
 SECONDS = 2.0  # s that a fault lasts: longer than the timeouts of devices
 FRAMES, SCANS = 0.01, 3e-4
@@ -35,6 +43,7 @@ FAULTS: Mapping[str, Mapping[str, faults.Fault]] = {
         "Freeze": Delay(device="camera", seconds=SECONDS),
     },
     "motors": {"Stall": Stall(side="both", seconds=SECONDS)},
+    "robot": {"Carry to its start": Carry()},
 }
 """Device -> label of a button -> its fault."""
 

@@ -69,8 +69,17 @@ class Stall(_Fault):
     seconds: float = parameter(..., "s", "how long", gt=0.0)
 
 
+class Carry(_Fault):
+    """A robot that is lifted and put down elsewhere, with the same heading; its wheels do not turn."""
+
+    fault: Literal["carry"] = "carry"
+    place: tuple[float, float] | None = parameter(
+        None, "m", "position in the world; by default where the robot started"
+    )
+
+
 Fault: TypeAlias = Annotated[
-    LineNoise | Delay | Unplug | Reboot | Malfunction | Stall, Field(discriminator="fault")
+    LineNoise | Delay | Unplug | Reboot | Malfunction | Stall | Carry, Field(discriminator="fault")
 ]
 _FAULT: TypeAdapter[Fault] = TypeAdapter(Fault)
 

@@ -19,6 +19,7 @@ from impslam.platform.virtual.autopilot import AutopilotEmulator
 from impslam.platform.virtual.base import Emulator
 from impslam.platform.virtual.camera import CameraEmulator
 from impslam.platform.virtual.faults import (
+    Carry,
     Delay,
     Fault,
     LineNoise,
@@ -150,10 +151,12 @@ class VirtualImp:
         Raises
         ------
         ConfigError
-            If the robot does not have its device.
+            If the robot does not have its device, or cannot stand where it is carried.
         """
         if isinstance(fault, Stall):
             self._stall(fault)
+        elif isinstance(fault, Carry):
+            self.body.put_down(*(fault.place or self.body.world.robot.start[:2]))
         elif fault.device == "camera":
             self._camera_fault(fault)
         elif fault.device not in self._lines:

@@ -34,8 +34,8 @@ class MappingPanel:
                 self._restart = button(
                     "New map", "map-new", self._on_restart, "plain", "restart_alt"
                 )
-                self._end = button("End mapping", "map-end", self._on_end, "plain", "stop")
                 self._save = button("Save", "map-save", self._on_save, "plain", "save")
+                self._end = button("End", "map-end", self._on_end, "plain", "stop")
                 self._status = text("mapping", "", "soft")
             with line("saved") as self._saved_line:
                 self._saved = text("map-saved", "", "soft")

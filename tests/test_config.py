@@ -123,13 +123,16 @@ def test_none_takes_a_part_out():
     assert "lidar" not in load("imp", ["sensors.lidar.kind=none"]).sensors
 
 
+def test_a_part_that_every_run_has_cannot_be_taken_out():
+    """The message says what to set instead."""
+    assert refuse("odometry.kind=none").endswith("set odometry.kind=lidar_only")
+    assert load("default", ["odometry.kind=lidar_only"]).odometry == {"kind": "lidar_only"}
+    assert refuse("filter.kind=none").endswith("estimators that do not need it ignore it")
+
+
 def test_a_part_that_was_taken_out_can_be_put_back():
     config = load("thesis-lines", ["sensors.lidar.extractors.cylinders.kind=circle"])
     assert config.sensors["lidar"]["extractors"]["cylinders"] == {"kind": "circle"}
-
-
-def test_a_needed_part_cannot_be_taken_out():
-    assert "filter" in refuse("filter.kind=none")
 
 
 def test_files_stand_on_presets_and_on_one_another(tmp_path: Path):

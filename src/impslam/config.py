@@ -309,16 +309,28 @@ def load(base: str | Path | Table = "default", settings: Sequence[str] = ()) -> 
     return config
 
 
+_WITHOUT = {
+    "odometry": "to map with the lidar alone, set odometry.kind=lidar_only",
+    "tracker": 'every run has one; use kind = "odometry"',
+    "estimator": 'every run has one; use kind = "landmarks"',
+    **dict.fromkeys(
+        ("association", "lifecycle", "filter"),
+        "leave it as it is; estimators that do not need it ignore it",
+    ),
+}
+"""What to write instead of `kind = "none"` for the parts of every run."""
+
+
 def _refuse_old_keys(table: Table) -> None:
-    """Raise for keys of earlier versions, and name the present ones."""
+    """Raise for keys of earlier versions, and for parts that cannot be removed, and name the right ones."""
     if "matcher" in table:
         raise ConfigError(
             'matcher is called tracker now: rename [matcher] to [tracker], and its kind = "none" '
             'to "odometry"'
         )
-    for role, instead in (("tracker", "odometry"), ("estimator", "landmarks")):
+    for role, instead in _WITHOUT.items():
         if isinstance(table.get(role), dict) and table[role].get("kind") == "none":
-            raise ConfigError(f'{role}.kind = "none": every run has one; use kind = "{instead}"')
+            raise ConfigError(f'{role}.kind = "none": {instead}')
     if isinstance(table.get("tracker"), dict) and table["tracker"].get("kind") == "icp":
         raise ConfigError(
             'tracker.kind = "icp" was replaced by "scan_to_map": write kind = "scan_to_map", and take '

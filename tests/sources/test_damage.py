@@ -103,6 +103,13 @@ def test_a_file_that_begins_with_zeros_is_explained(tmp_path: Path) -> None:
         recognise(path)
 
 
+def test_a_bag_of_an_early_version_is_explained(tmp_path: Path) -> None:
+    path = tmp_path / "file.bag"
+    path.write_bytes(b"#ROSRECORD V1.2\n" + bytes(4096))
+    with pytest.raises(SourceError, match=r"a ROS bag of version 1\.2.*`rosbag filter OLD"):
+        recognise(path)
+
+
 @pytest.mark.parametrize("as_folder", [False, True])
 def test_an_mcap_with_a_hole_is_reported(tmp_path: Path, as_folder: bool) -> None:
     """Nothing is compressed and nothing has a checksum, as `ros2 bag record` writes by default."""

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Collection, Iterator
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -25,6 +27,9 @@ _MAGIC: dict[bytes, Callable[[Path], Storage]] = {
     b"\x89MCAP0\r\n": CutMcapReader,
     b"SQLite format 3\0": PlainSqlite3Reader,
 }
+_EARLY = re.compile(
+    rb"#ROS(?:LOG|RECORD) V(\d\.\d)\n"
+)  # the file FORMATS of the ROS package rosbag
 _TRANSFORMS: Any = (
     [],
     [
@@ -54,12 +59,21 @@ def storage_class(path: Path) -> Callable[[Path], Storage] | None:
         if (path / METADATA).is_file():
             return BagFolder
         return UnlistedFolder if UnlistedFolder.pieces(path) else None
-    try:
-        with path.open("rb") as file:
-            start = file.read(16)
-    except OSError:
-        return None
+    start = _start(path)
     return next((cls for magic, cls in _MAGIC.items() if start.startswith(magic)), None)
+
+
+def early_version(path: Path) -> str:
+    """Return the version of a ROS 1 bag from before version 2.0, by its first line; "" of other paths."""
+    found = _EARLY.match(_start(path))
+    return found[1].decode("ascii") if found else ""
+
+
+def _start(path: Path) -> bytes:
+    """Return the first bytes of a file; none if it cannot be read."""
+    with suppress(OSError), path.open("rb") as file:
+        return file.read(16)
+    return b""
 
 
 def one_line(error: BaseException) -> str:

@@ -22,7 +22,13 @@ from impslam.sources.base import Mount, Source, Stream
 from impslam.sources.parts import Piece
 from impslam.sources.ros_frames import Edge, Frames, links
 from impslam.sources.ros_rows import Record, RowReader, lacks_wheels
-from impslam.sources.ros_storage import Bag, folder_of, one_line, storage_class
+from impslam.sources.ros_storage import (
+    Bag,
+    early_version,
+    folder_of,
+    one_line,
+    storage_class,
+)
 from impslam.sources.ros_topics import (
     EVENT_TYPE,
     KEPT,
@@ -79,6 +85,15 @@ class RosBag(Source):
     def recognises(cls, path: Path) -> bool:
         """Recognise the format by the magic bytes of a file, or by the files in a folder."""
         return storage_class(folder_of(path)) is not None
+
+    @classmethod
+    def explain_refusal(cls, path: Path) -> str:
+        """Say that a file is a ROS 1 bag of an early version."""
+        version = early_version(path)
+        return version and (
+            f"it is a ROS bag of version {version}, of 2010 or earlier; with ROS 1, "
+            "`rosbag filter OLD.bag NEW.bag True` writes it in the present version 2.0"
+        )
 
     @field_validator("path")
     @classmethod

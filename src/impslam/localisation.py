@@ -97,7 +97,7 @@ def localise(
         best = compose(answer.hypotheses[0].pose, T_middle_stamp) if answer.hypotheses else None
         yield Located(stamp, best, answer, seconds)
     if count < 0:
-        raise SourceError(f"{log}: contains no usable scan; `imp inspect` lists its contents")
+        raise SourceError(source.problems.explain_emptiness(source.path))
 
 
 def _scans(robot: Robot, source: Source) -> Iterator[tuple[float, Scan, Array]]:

@@ -117,7 +117,7 @@ def test_wrong_type_and_bounds(imp, room) -> None:
     [
         ("sensors.lidar=3", "sensors.lidar = 3: expected a table"),
         ("sensors.lidar.extractors.walls=[1]", "walls = [1]: expected a table"),
-        ("filter.kind=none", "filter is missing"),
+        ("filter.kind=none", "leave it as it is"),
         ("odometry.slip.forwad=1", "did you mean 'forward'?"),
         ("source.path=x", "source.path"),
         ("start=[nan, 0, 0]", "start.0 = nan"),

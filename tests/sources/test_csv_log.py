@@ -192,17 +192,75 @@ def test_lines_of_different_length_are_explained(tmp_path: Path) -> None:
         read(path)
 
 
+@pytest.mark.parametrize("mark", [";", "\t", "|"])
+@pytest.mark.parametrize(
+    "header", ["t,x,y,theta,-90,0,90", '"t","x","y","theta","-90","0","90"', None]
+)
+def test_decimal_commas_and_quotes_of_spreadsheets(
+    tmp_path: Path, header: str | None, mark: str
+) -> None:
+    row = "1,5;1,25;2,0;-0,5;4,25;;inf".replace(";", mark)
+    given = {"columns": dict(zip(("stamp", "x", "y", "theta", "ranges"), "12345", strict=True))}
+    given["columns"]["ranges"] = "5:7"
+    lines = [row, row] if header is None else [header.replace(",", mark), row, row]
+    others = {**given, "angle_min": 0.0, "angle_step": 0.1} if header is None else {}
+    pose, scan, *_ = messages(tmp_path, *lines, **others)
+    assert isinstance(pose, OdometryPose)
+    assert isinstance(scan, LaserScan)
+    assert pose.stamp == 1.5
+    np.testing.assert_array_equal(pose.pose, [1.25, 2.0, -0.5])
+    np.testing.assert_array_equal(scan.ranges, [4.25, math.nan, math.inf])
+
+
+def test_quoted_cells_and_row_numbers_of_data_frames(tmp_path: Path) -> None:
+    rows = ['"","t","x","y","theta","-90","0","90"', '"0","1.5","1","2","0.5","4","5","6"']
+    pose, scan = messages(tmp_path, *rows)
+    np.testing.assert_array_equal(pose.pose, [1.0, 2.0, 0.5])  # type: ignore[attr-defined]
+    np.testing.assert_array_equal(scan.ranges, [4.0, 5.0, 6.0])  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize(
+    "stamp",
+    ["2024-05-01T10:00:00.25", "2024-05-01 10:00:00.250000", "2024-05-01T12:00:00.25+02:00"],
+)
+@pytest.mark.parametrize("has_header", [True, False])
+def test_stamps_that_are_dates(tmp_path: Path, stamp: str, has_header: bool) -> None:
+    row = f"{stamp},4,5,6,7"
+    columns = {} if has_header else {"columns": {"stamp": "1", "ranges": "2:5"}}
+    lines = ["time,0,1,2,3", row] if has_header else [row, row]
+    scan, *_ = messages(tmp_path, *lines, **columns, **({} if has_header else STEPS))
+    assert scan.stamp == 1714557600.25
+
+
+STEPS: dict[str, object] = {"angle_min": 0.0, "angle_step": 0.1}
+
+
+def test_units_in_brackets(tmp_path: Path) -> None:
+    header = "Time [ms],x (mm),y[cm],heading (deg),-90,0,90"
+    pose, _ = messages(tmp_path, header, "1500,250,25,90,1,2,3")
+    assert pose.stamp == 1.5
+    np.testing.assert_allclose(pose.pose, [0.25, 0.25, math.pi / 2])  # type: ignore[attr-defined]
+    speed, _ = messages(tmp_path, "t,v [mm/s],omega [deg/s],0,1,2", "1,500,90,1,2,3")
+    assert isinstance(speed, Velocity)
+    assert (speed.speed, speed.turn_rate) == pytest.approx((0.5, math.pi / 2))
+
+
+def test_a_log_without_usable_rows_says_why(tmp_path: Path) -> None:
+    path = log(tmp_path, "t,x,y,theta,0,1,2", "noon,1,2,3,4,5,6", "noon,1,2,3,4,5,6")
+    with pytest.raises(
+        SourceError, match=r"no usable scan; 2 x malformed row: .*'noon' is not a num"
+    ):
+        impslam.run(path)
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        (
-            "t;x;y;theta;0;1;2\n" + "1,5;1,0;2,0;0,5;4,25;5,5;6,0\n" * 2,
-            "decimal commas; write points",
-        ),
+        ("t x y theta 0 1 2\n1 1 2 0.5 4 5 6\n", "write commas, not spaces"),
         ("\ufefft,x,y,theta,0,1,2\n1,1,2,0.5,4,5,6\n", "in UTF-16; save it as UTF-8"),
     ],
 )
-def test_what_spreadsheets_write_is_explained(tmp_path: Path, text: str, said: str) -> None:
+def test_what_cannot_be_read_is_explained(tmp_path: Path, text: str, said: str) -> None:
     path = tmp_path / "log.csv"
     path.write_bytes(text.encode("utf-16-le" if "\ufeff" in text else "utf-8"))
     with pytest.raises(SourceError, match=f"no known log format.*{said}"):

@@ -76,6 +76,12 @@ class Problems:
         self.counts[kind] = self.counts.get(kind, 0) + count
         self.examples.setdefault(kind, example)
 
+    def explain_emptiness(self, path: Path) -> str:
+        """Return the message on a log without a usable scan: the commonest problem, or where to look."""
+        most = max(self.counts, key=lambda kind: self.counts[kind], default="")
+        why = f"{self.counts[most]} x {most}: {self.examples[most]}" if most else ""
+        return f"{path}: contains no usable scan; {why or '`imp inspect` lists its contents'}"
+
 
 class Source(Component):
     """A context manager that reads the streams of a log as columns, lazily and in bounded memory.

@@ -41,7 +41,9 @@ NAMES: dict[Role, tuple[str, ...]] = {
 UNITS = {
     "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "m": 1.0, "cm": 1e-2, "mm": 1e-3,
     "rad": 1.0, "deg": math.pi / 180.0,
+    "m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "rad/s": 1.0, "deg/s": math.pi / 180.0,
 }  # fmt: skip
+_BRACKETED = re.compile(r"\s*[\[(]([^\])]*)[\])]$")
 MOTIONS: tuple[tuple[Role, ...], ...] = (
     ("x", "y", "theta"),
     ("x", "y", "qx", "qy", "qz", "qw"),
@@ -163,7 +165,7 @@ def _find(header: Sequence[str], name: str) -> int:
 
 def _find_by_name(header: Sequence[str], names: Sequence[str]) -> CsvCells | None:
     """Return the column with the first of some names that is in the header."""
-    whole = ["." + name.lower().lstrip("%# ") for name in header]
+    whole = ["." + _BRACKETED.sub(r"_\1", name.lower()).lstrip("%# ") for name in header]
     for name in names:
         for k, column in enumerate(whole):
             stem, _, unit = column.rpartition("_")

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import ClassVar, NamedTuple, Self
+from typing import ClassVar, Self
 
 import numpy as np
 from pydantic import PrivateAttr
@@ -18,8 +18,17 @@ from impslam.component import parameter, register
 from impslam.errors import MessageError, SourceError
 from impslam.sources.base import Stream
 from impslam.sources.csv_columns import ECHO, MOTIONS, CsvCells, CsvLayout, Role, layout, shorten
+from impslam.sources.csv_text import (
+    MIN_COLUMNS,
+    is_spaced,
+    names,
+    numbers,
+    opening,
+    split,
+    trim,
+)
 from impslam.sources.parts import LocatedMessage
-from impslam.sources.text import TextSource, beam_angles, beam_times, check_finite, head
+from impslam.sources.text import TextSource, beam_angles, beam_times, check_finite
 from impslam.sources.transforms import yaw_of
 from impslam.types import (
     Array,
@@ -31,10 +40,6 @@ from impslam.types import (
     range_limits,
 )
 
-SEPARATORS = (b",", b";", b"\t")
-BOM = b"\xef\xbb\xbf"
-MAX_OPENING = 50  # lines in which the header and two rows are looked for, more than any preamble
-MIN_COLUMNS = 4  # a stamp and three ranges
 EPOCHS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))
 """Stamps above which the unit is ns, us or ms since 1970; in s, 1e11 would be the year 5138."""
 
@@ -61,7 +66,6 @@ class CsvLog(TextSource):
         math.nan, "rad", "angle from beam to beam, counter-clockwise; nan: from the file"
     )
 
-    _has_header: bool = PrivateAttr(default=True)
     _mark: bytes = PrivateAttr(default=b",")
     _begin: int = PrivateAttr(default=0)  # number of the first line that may be a row
     _header: list[str] = PrivateAttr(default_factory=list)
@@ -70,19 +74,18 @@ class CsvLog(TextSource):
     @classmethod
     def recognises(cls, path: Path) -> bool:
         """Recognise the format by two lines with equal numbers of cells, and numbers in the second."""
-        widths = _first_widths(path)
+        widths = opening(path).widths
         return widths is not None and widths[0] == widths[1]
 
     @classmethod
     def explain_refusal(cls, path: Path) -> str:
-        """Say that a file is UTF-16, has decimal commas, or lines of different length."""
+        """Say that a file is UTF-16, has spaces between cells, or lines of different length."""
         if path.is_file() and _starts_with_utf16(path):
             return "it is text in UTF-16; save it as UTF-8"
-        if sum(map(_has_decimal_comma, _opening(path).second)) >= MIN_COLUMNS:
-            return "for a CSV log, its numbers have decimal commas; write points, as in 1.5"
-        widths = _first_widths(path)
+        widths = opening(path).widths
         if widths is None or min(widths) < MIN_COLUMNS:
-            return ""
+            is_table = is_spaced(path)
+            return "for a CSV log, write commas, not spaces, between numbers" if is_table else ""
         return (
             f"for a CSV log, its first line has {widths[0]} cells and its second {widths[1]}; "
             "write every line with as many, and leave those without a value empty"
@@ -90,11 +93,10 @@ class CsvLog(TextSource):
 
     def __enter__(self) -> Self:
         super().__enter__()
-        opening = _opening(self.path)
-        cells = _names(opening.first)
-        self._mark, self._has_header = opening.mark, not _is_row(cells)
-        self._begin = opening.number + self._has_header
-        self._header = cells if self._has_header else [str(k + 1) for k in range(len(cells))]
+        found = opening(self.path)
+        self._mark, self._begin = found.mark, found.begin
+        count = range(1, len(found.first) + 1)
+        self._header = names(found.first) if found.has_header else list(map(str, count))
         return self
 
     def kinds(self) -> frozenset[type[Message]]:
@@ -156,11 +158,11 @@ class CsvLog(TextSource):
         found, width, unit = self._columns(), len(self._header), 0.0
         used = sorted({k for cells in found.cells.values() for k in range(*cells[:2])})
         for number, line in self._lines(self.path):
-            text = _trim(line)
+            text = trim(line)
             if number < self._begin or not text.strip() or text[:1] == b"#":
                 continue
             try:
-                values = _numbers(text.split(self._mark), used, width)
+                values = numbers(split(text, self._mark), used, width)
                 stamp = _value(values, found.cells["stamp"])
                 check_finite("the stamp", stamp)
                 unit = unit or next((factor for low, factor in EPOCHS if abs(stamp) > low), 1.0)
@@ -190,60 +192,9 @@ class CsvLog(TextSource):
             yield Velocity(stamp, *cells)
 
 
-class _Opening(NamedTuple):
-    """The cells of the header, or of the first row; those of the row after it; and where they are.
-
-    `number` is the number of the line of the header, or of the first row; `mark` separates cells.
-    """
-
-    first: list[bytes]
-    second: list[bytes]
-    number: int
-    mark: bytes
-
-
-def _opening(path: Path) -> _Opening:
-    """Return the first lines of a file; a missing one has no cells."""
-    lines = [_trim(line) for line in head(path)[:MAX_OPENING]]
-    found = [k for k, line in enumerate(lines) if line.strip() and line[:1] != b"#"]
-    if not found:
-        return _Opening([], [], 1, b",")
-    mark = _separator(lines[found[0]])
-    cells = [line.split(mark) for line in lines]
-    if _is_row(_names(cells[found[0]])):  # the header may be one of the comments
-        width = len(cells[found[0]])
-        found = [*[k for k in range(found[0]) if len(cells[k]) == width][:1], *found]
-    second = cells[found[1]] if len(found) > 1 else []
-    return _Opening(cells[found[0]], second, found[0] + 1, mark)
-
-
-def _names(cells: list[bytes]) -> list[str]:
-    """Return the cells of a header without quotes, and without the sign of a comment."""
-    names = [cell.decode("utf-8", "replace").strip(' \t"') for cell in cells]
-    return [names[0].lstrip("#% "), *names[1:]] if names else []
-
-
-def _is_row(names: list[str]) -> bool:
-    """Return whether cells are a row rather than a header, which may name beams by numbers."""
-    numbers = [_is_cell(name.encode()) for name in names]
-    return numbers[:1] == [True] and sum(numbers) >= len(names) / 2
-
-
-def _first_widths(path: Path) -> tuple[int, int] | None:
-    """Return the numbers of cells of the first two lines, or None if the second has too few numbers."""
-    first, second, *_ = _opening(path)
-    if any(b"{" in cell for cell in first):  # JSON has commas, too
-        return None
-    return (len(first), len(second)) if sum(map(_is_cell, second)) >= MIN_COLUMNS else None
-
-
 def _starts_with_utf16(path: Path) -> bool:
     with path.open("rb") as file:
         return file.read(2) in (b"\xff\xfe", b"\xfe\xff")
-
-
-def _has_decimal_comma(cell: bytes) -> bool:
-    return cell.count(b",") == 1 and _is_cell(cell.replace(b",", b"."))
 
 
 def _scan(values: Array, found: CsvLayout, stamp: float) -> Iterator[LaserScan]:
@@ -266,32 +217,5 @@ def _scan(values: Array, found: CsvLayout, stamp: float) -> Iterator[LaserScan]:
     yield LaserScan(stamp, angles, ranges, beam_times(len(ranges)), *range_limits(low, high))
 
 
-def _numbers(cells: list[bytes], used: list[int], width: int) -> Array:
-    """Return the numbers (width,) in the used columns; NaN in other columns and empty cells."""
-    if len(cells) != width:
-        raise MessageError(f"{len(cells)} cells instead of {width}")
-    values = np.full(width, np.nan)
-    values[used] = [float(cells[k]) if cells[k].strip() else math.nan for k in used]
-    return values
-
-
 def _value(values: Array, cells: CsvCells) -> float:
     return cells.factor * float(values[cells.first])
-
-
-def _trim(line: bytes) -> bytes:
-    """Return a line without its end and outer spaces, but with tabs, which may separate cells."""
-    return line.removeprefix(BOM).strip(b" \r\n")
-
-
-def _separator(line: bytes) -> bytes:
-    return max(SEPARATORS, key=line.count)
-
-
-def _is_cell(text: bytes) -> bool:
-    """Return whether a cell is a number or empty."""
-    try:
-        float(text.strip() or b"nan")
-    except ValueError:
-        return False
-    return True

@@ -1,0 +1,151 @@
+"""The text of a CSV file: what separates its cells, where its rows begin, and cells as numbers.
+
+Spreadsheets of many countries write semicolons between cells and decimal commas, and quotes around cells.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from impslam.errors import MessageError
+from impslam.sources.text import head
+from impslam.types import Array
+
+SEPARATORS = (b",", b";", b"\t", b"|")
+BOM = b"\xef\xbb\xbf"
+MAX_OPENING = 50  # lines in which the header and two rows are looked for, more than any preamble
+MIN_COLUMNS = 4  # a stamp and three ranges
+
+
+class Opening(NamedTuple):
+    """The first lines of a file.
+
+    Attributes
+    ----------
+    first, second : the cells of the header, or of the first row, and those of the row after it
+    has_header : whether the first ones are a header
+    begin : the number of the line of the first row
+    mark : what separates cells
+    """
+
+    first: list[bytes]
+    second: list[bytes]
+    has_header: bool
+    begin: int
+    mark: bytes
+
+    @property
+    def widths(self) -> tuple[int, int] | None:
+        """The numbers of cells of both, or None if the second has too few numbers."""
+        if any(b"{" in cell for cell in self.first):  # JSON has commas, too
+            return None
+        is_table = sum(map(_is_cell, self.second)) >= MIN_COLUMNS
+        return (len(self.first), len(self.second)) if is_table else None
+
+
+def opening(path: Path) -> Opening:
+    """Return the first lines of a file; a missing one has no cells."""
+    lines = [trim(line) for line in head(path)[:MAX_OPENING]]
+    found = [k for k, line in enumerate(lines) if line.strip() and line[:1] != b"#"]
+    if not found:
+        return Opening([], [], False, 1, b",")
+    mark = _separator([lines[k] for k in found[:2]])
+    rows = [split(line, mark) for line in lines]
+    if _is_row(rows[found[0]]):  # the header may be one of the comments
+        width = len(rows[found[0]])
+        found = [*[k for k in range(found[0]) if len(rows[k]) == width][:1], *found]
+    second = rows[found[1]] if len(found) > 1 else []
+    first, has_header = _unquoted(lines[found[0]]).split(mark), not _is_row(rows[found[0]])
+    return Opening(first, second, has_header, found[0] + 1 + has_header, mark)
+
+
+def is_spaced(path: Path) -> bool:
+    """Return whether the first lines of a file are tables with spaces between numbers."""
+    lines = [line.split() for line in head(path)[:MAX_OPENING] if line.strip()]
+    return any(len(cells) >= MIN_COLUMNS and all(map(_is_cell, cells)) for cells in lines[:2])
+
+
+def trim(line: bytes) -> bytes:
+    """Return a line without its end and outer spaces, but with tabs, which may separate cells."""
+    return line.removeprefix(BOM).strip(b" \r\n")
+
+
+def split(text: bytes, mark: bytes) -> list[bytes]:
+    """Return the cells of a row without quotes; a comma that separates none is a decimal point."""
+    text = _unquoted(text)
+    return (text if mark == b"," else text.replace(b",", b".")).split(mark)
+
+
+def _unquoted(text: bytes) -> bytes:
+    return text.replace(b'"', b"") if b'"' in text else text
+
+
+def _separator(lines: Sequence[bytes]) -> bytes:
+    """Return the mark that gives the most numbers in the last of some lines, or cells in the first."""
+
+    def score(mark: bytes) -> tuple[int, int]:
+        return sum(map(_is_cell, split(lines[-1], mark))), lines[0].count(mark)
+
+    return max(SEPARATORS, key=score)
+
+
+def names(cells: Sequence[bytes]) -> list[str]:
+    """Return the cells of a header, without the sign of a comment."""
+    found = [cell.decode("utf-8", "replace").strip(" \t") for cell in cells]
+    return [found[0].lstrip("#% "), *found[1:]] if found else []
+
+
+def _is_row(cells: Sequence[bytes]) -> bool:
+    """Return whether cells are a row rather than a header, which may name beams by numbers.
+
+    The name of a column of row numbers may be empty.
+    """
+    first = cells[0].strip(b"#% \t") if cells else b""
+    return bool(first) and _is_cell(first) and sum(map(_is_cell, cells)) >= len(cells) / 2
+
+
+def numbers(cells: Sequence[bytes], used: Sequence[int], width: int) -> Array:
+    """Return the numbers (width,) in the used columns; NaN in other columns and empty cells.
+
+    Raises
+    ------
+    MessageError
+        If there are not `width` cells, or one that is used is neither a number nor a date with a time.
+    """
+    if len(cells) != width:
+        raise MessageError(f"{len(cells)} cells instead of {width}")
+    values = np.full(width, np.nan)
+    try:
+        values[used] = [float(cells[k]) if cells[k].strip() else math.nan for k in used]
+    except ValueError:
+        values[used] = [_number(cells[k]) for k in used]
+    return values
+
+
+def _number(cell: bytes) -> float:
+    """Return a cell as a number: s since 1970 for a date with a time (ISO 8601), in UTC by default."""
+    text = cell.decode("utf-8", "replace").strip()
+    try:
+        return float(text or "nan")
+    except ValueError:
+        pass
+    try:
+        time = datetime.fromisoformat(text)
+    except ValueError:
+        raise MessageError(f"{text[:40]!r} is not a number") from None
+    return (time if time.tzinfo else time.replace(tzinfo=UTC)).timestamp()
+
+
+def _is_cell(text: bytes) -> bool:
+    """Return whether a cell is a number, a date with a time, or empty."""
+    try:
+        _number(text)
+    except MessageError:
+        return False
+    return True

@@ -1,5 +1,8 @@
 import math
+import shutil
+import sqlite3
 from collections import Counter
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -152,13 +155,32 @@ def test_bad_messages_are_counted_and_dropped(tmp_path: Path) -> None:
 def test_a_bag_without_definitions_uses_the_standard_types(tmp_path: Path) -> None:
     path = bag(tmp_path / "b", ("/scan", scan(ROS2)))
     (data,) = path.glob("*.db3")
-    import sqlite3  # noqa: PLC0415
-
     with sqlite3.connect(data) as database:
         database.execute("UPDATE message_definitions SET encoded_message_definition = ''")
     database.close()
     (sweep,) = read(path)[0]
     np.testing.assert_array_equal(sweep.ranges, [0.0, 1.0, 2.0])
+
+
+@pytest.mark.parametrize("as_folder", [True, False])
+def test_messages_in_a_write_ahead_log_are_read(tmp_path: Path, as_folder: bool) -> None:
+    """A recorder that was killed leaves them there; the log itself is not touched."""
+    path = bag(tmp_path / "b", *[("/scan", scan(ROS2))] * 5)
+    (data,) = path.glob("*.db3")
+    with closing(sqlite3.connect(data)) as database:
+        rows = database.execute("SELECT * FROM messages").fetchall()
+        database.execute("PRAGMA journal_mode=WAL")
+        database.execute("DELETE FROM messages")
+        database.commit()
+        database.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+        marks = ",".join("?" * len(rows[0]))
+        database.executemany(f"INSERT INTO messages VALUES ({marks})", rows)
+        database.commit()
+        killed = shutil.copytree(path, tmp_path / "killed")
+    before = {file.name: file.read_bytes() for file in killed.iterdir()}
+    found, _ = read(killed if as_folder else killed / data.name)
+    assert len(found) == 5
+    assert {file.name: file.read_bytes() for file in killed.iterdir()} == before
 
 
 def test_a_file_truncated_by_power_loss_is_read_to_its_end(tmp_path: Path) -> None:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import re
 import shutil
+import sqlite3
 import tempfile
 from collections.abc import Collection, Generator
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,45 @@ from impslam.sources.unpack import UNIT_LIMIT, check_unpacked, unpack_zstd
 
 
 class PlainSqlite3Reader(Sqlite3Reader):
-    """An SQLite file of plain tables: views, triggers and computed columns are rejected."""
+    """An SQLite file of plain tables: views, triggers and computed columns are rejected.
+
+    A recorder that was killed leaves its newest messages in a write-ahead log beside the file. rosbags does
+    not read it, as it opens files as immutable, so both are merged in a temporary copy.
+    """
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        self._original, self._copies = path, ExitStack()
+
+    def open(self) -> None:
+        """Open the file."""
+        log = Path(f"{self._original}-wal")
+        try:
+            if log.is_file() and log.stat().st_size > 0:
+                self.path = self._merged(log)
+            super().open()
+        except BaseException:
+            self._copies.close()
+            raise
+
+    def close(self) -> None:
+        """Close the file."""
+        super().close()
+        self.path = self._original
+        self._copies.close()
+
+    def _merged(self, log: Path) -> Path:
+        """Return a temporary copy of the file that contains its write-ahead log."""
+        size = sum(path.stat().st_size for path in (self._original, log))
+        if size > shutil.disk_usage(tempfile.gettempdir()).free // 2:
+            raise ReaderError(f"There is no space for a temporary copy with {log.name!r}.")
+        folder = Path(self._copies.enter_context(tempfile.TemporaryDirectory()))
+        for path in (self._original, log):
+            shutil.copyfile(path, folder / path.name)
+        copy = folder / self._original.name
+        with closing(sqlite3.connect(copy)) as database:
+            database.execute("PRAGMA journal_mode=DELETE")  # merges the log
+        return copy
 
     def _open(self) -> None:
         assert self.dbconn is not None

@@ -49,8 +49,9 @@ def fitted(config: Config, source: Source, *, odometry_is_free: bool) -> Config:
     source.watch_mounts(fixed)
     changes: dict[str, Any] = {"sensors": sensors, "landmarks": _with_antenna(config, source)}
     if odometry_is_free and _lacks_odometry(config, source):
-        changes["odometry"] = {"kind": _other_odometry(source)}
-        if hint := source.unknown_odometry():
+        kind = _other_odometry(source)
+        changes["odometry"] = {"kind": kind}
+        if kind == "lidar_only" and (hint := source.unknown_odometry()):
             source.problems.add("unknown odometry", f"{source.path}: {hint}")
     return config.model_copy(update=changes)
 

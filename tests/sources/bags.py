@@ -54,6 +54,15 @@ def imu(store: Any, stamp: float, known: float, rate: float) -> Any:
     return cls(header(store, stamp), turn, unknown, rates, covariance, forces, covariance)
 
 
+def twist(store: Any, stamp: float, speed: float, rate: float) -> Any:
+    new = lambda name, *values: store.types[f"geometry_msgs/msg/{name}"](*values)  # noqa: E731
+    return new(
+        "TwistStamped",
+        header(store, stamp),
+        new("Twist", new("Vector3", speed, 0.0, 0.0), new("Vector3", 0.0, 0.0, rate)),
+    )
+
+
 def image(store: Any, form: str) -> Any:
     cls = store.types["sensor_msgs/msg/CompressedImage"]
     return cls(header(store), form, np.arange(4, dtype=np.uint8))

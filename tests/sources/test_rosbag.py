@@ -10,17 +10,27 @@ from typing import Any
 import numpy as np
 import pytest
 from rosbags.rosbag1 import Writer as Writer1
-from tests.sources.bags import ROS1, ROS2, bag, image, imu, joints, odometry, scan
+from tests.sources.bags import ROS1, ROS2, bag, image, imu, joints, odometry, scan, twist
 from tests.sources.logs import assert_same, messages, read, write_mcap
 
 from impslam import columns
 from impslam.errors import SourceError
+from impslam.open_log import open_log
 from impslam.sources import ros_rows
 from impslam.sources.base import Source, recognise
 from impslam.sources.recording import McapWriter
 from impslam.sources.ros_topics import rival_note
 from impslam.sources.rosbag import RosBag
-from impslam.types import Event, Image, LaserScan, Message, OdometryPose, TruePose, WheelAngles
+from impslam.types import (
+    Event,
+    Image,
+    LaserScan,
+    Message,
+    OdometryPose,
+    TruePose,
+    Velocity,
+    WheelAngles,
+)
 
 
 @pytest.mark.parametrize("kind", ["ros1", "sqlite folder", "mcap folder", "sqlite", "mcap"])
@@ -408,6 +418,51 @@ def test_joints_without_wheels_are_not_read(tmp_path: Path) -> None:
     }
     found, _ = read(path, left_joint="shoulder", right_joint="elbow")
     assert [type(m) for m in found] == [WheelAngles, WheelAngles, LaserScan]
+
+
+@pytest.mark.parametrize(
+    ("names", "said"),
+    [
+        (
+            ["wheel_l", "wheel_r"],
+            "no wheels among the joints wheel_l, wheel_r; name them with --set",
+        ),
+        (["left_wheel", "right_wheel"], "velocities, but no positions"),
+        (["shoulder", "elbow"], ""),
+    ],
+)
+def test_wheels_that_are_not_read_are_named(tmp_path: Path, names: list[str], said: str) -> None:
+    values = [] if "no positions" in said else [1.0, 2.0]
+    path = bag(tmp_path / "b", *[("/js", joints(ROS2, names, values)), ("/scan", scan(ROS2))] * 2)
+    config, source = open_log(path)
+    assert config.odometry == {"kind": "lidar_only"}
+    assert said in source.problems.examples.get("unknown odometry", "")
+    assert bool(said) == bool(source.problems.counts)
+
+
+def test_measured_velocities_are_read_if_they_are_named(tmp_path: Path) -> None:
+    """Commanded ones have the same type."""
+    messages = [("/cmd_vel", twist(ROS2, 1.0, 3.0, 0.0)), ("/twist", twist(ROS2, 1.5, 0.5, 0.25))]
+    path = bag(tmp_path / "b", *messages, ("/scan", scan(ROS2)))
+    config, source = open_log(path)
+    assert config.odometry == {"kind": "lidar_only"}
+    (said,) = source.problems.examples.values()
+    assert said.endswith("not commanded, use them with --topic velocity=/twist")
+    assert "cmd_vel" not in said
+    config, source = open_log(path, settings=["source.topics.velocity=/twist"])
+    assert config.odometry == {"kind": "velocity"}
+    assert not source.problems.counts
+    only, _ = read(path, topics={"velocity": "/twist"})[0]
+    assert isinstance(only, Velocity)
+    assert (only.stamp, only.speed, only.turn_rate) == (1.5, 0.5, 0.25)
+
+
+def test_the_twist_of_odometry_can_be_read_instead_of_its_pose(tmp_path: Path) -> None:
+    message = odometry(ROS2)
+    message.twist.twist.linear.x, message.twist.twist.angular.z = 0.5, -0.25
+    path = bag(tmp_path / "b", *[("/odom", message)] * 5, ("/scan", scan(ROS2)))
+    *found, _ = read(path, topics={"velocity": "/odom"})[0]
+    assert [(type(m), m.speed, m.turn_rate) for m in found] == [(Velocity, 0.5, -0.25)] * 5
 
 
 @pytest.mark.parametrize("plugin", ["sqlite", "mcap"])

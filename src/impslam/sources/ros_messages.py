@@ -24,6 +24,7 @@ from impslam.types import (
     OdometryPose,
     SatelliteFix,
     TruePose,
+    Velocity,
     WheelAngles,
     range_limits,
 )
@@ -109,6 +110,14 @@ def read_odometry(message: RosMessage, stamp: float) -> OdometryPose:
         pose = message.transform
         return OdometryPose(stamp, _planar(pose.translation, pose.rotation))
     return OdometryPose(stamp, _planar(message.pose.pose.position, message.pose.pose.orientation))
+
+
+def read_velocity(message: RosMessage, stamp: float) -> Velocity:
+    """Read the twist of base, of a `TwistStamped`, `TwistWithCovarianceStamped` or `nav_msgs/Odometry`."""
+    twist = getattr(message.twist, "twist", message.twist)
+    speed, rate = float(twist.linear.x), float(twist.angular.z)
+    check_finite("twist", speed, rate)
+    return Velocity(stamp, speed, rate)
 
 
 def read_truth(message: RosMessage, stamp: float) -> TruePose:

@@ -20,6 +20,7 @@ from impslam.sources.ros_frames import Edge
 from impslam.sources.ros_storage import Bag, RosMessage, one_line
 from impslam.sources.ros_tables import TABLES, Rows, Values, stamps, transforms
 from impslam.sources.ros_topics import TF_TYPES, Use
+from impslam.sources.ros_unread import NAME_WHEELS, NO_POSITIONS, joint_fault
 from impslam.sources.text import check_finite
 from impslam.types import Ints, Mask, Message, WheelAngles
 
@@ -27,14 +28,13 @@ READERS: dict[Use, Callable[[RosMessage, float], Message]] = {
     "truth": ros.read_truth,
     "scan": ros.read_scan,
     "voltages": ros.read_voltages,
+    "velocity": ros.read_velocity,
     "odometry": ros.read_odometry,
     "imu": ros.read_imu,
     "fix": ros.read_fix,
     "image": ros.read_image,
 }
 MIN_TABLE_ROWS = 4  # fewer messages are read faster one by one
-MAX_JOINT_MESSAGES = 200
-"""Messages among which all publishers of joints occur: rates of two differ by a factor of 100 at most."""
 
 
 class Record(NamedTuple):
@@ -71,7 +71,7 @@ class RowReader:
         self._path, self._bag, self._uses, self._joints = path, bag, uses, joints
         self._odometry, self._problems = odometry, problems
         wheels = [topic for topic, use in uses.items() if use == "wheels"]
-        self._wheel_topics = {topic for topic in wheels if not lacks_wheels(bag, topic, joints)}
+        self._wheel_topics = {topic for topic in wheels if joint_fault(bag, topic, joints) is None}
         self._starts_at_zero = any(map(self._has_zero_start, bag.connections))
 
     def _has_zero_start(self, connection: Connection) -> bool:
@@ -193,28 +193,13 @@ class RowReader:
             if topic in self._wheel_topics:
                 return None
             raise MessageError(
-                f"no left and right wheel among the joints {', '.join(message.name)}; "
-                "name them with --set source.left_joint=NAME --set source.right_joint=NAME"
+                f"no left and right wheel among the joints {', '.join(message.name)}; {NAME_WHEELS}"
             )
+        if max(joints) >= len(message.position):
+            raise MessageError(NO_POSITIONS)
         left, right = (float(message.position[joint]) for joint in joints)
         check_finite("wheel position", left, right)
         return WheelAngles(stamp, left, right)
-
-
-def lacks_wheels(bag: Bag, topic: str, joints: tuple[str, str]) -> bool:
-    """Return whether the first messages of a topic contain joints, but no wheels.
-
-    Several programs may publish joints on one topic, each its own: wheels, and an arm.
-    """
-    is_read, connections = False, [c for c in bag.connections if c.topic == topic]
-    with suppress(Exception):  # rosbags may raise anything on damaged data
-        for connection, _, data in islice(bag.messages(connections), MAX_JOINT_MESSAGES):
-            with suppress(Exception):
-                names = bag.decoder(connection)(data).name
-                if ros.find_joints(names, *joints) is not None:
-                    return False
-                is_read = True
-    return is_read
 
 
 def _grouped(records: Iterable[Record]) -> Iterable[list[Record]]:

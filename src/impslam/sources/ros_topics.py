@@ -19,17 +19,22 @@ from impslam.types import (
     OdometryPose,
     SatelliteFix,
     TruePose,
+    Velocity,
     WheelAngles,
 )
 
-Use: TypeAlias = Literal["scan", "wheels", "voltages", "odometry", "imu", "fix", "image", "truth"]
+Use: TypeAlias = Literal[
+    "scan", "wheels", "voltages", "velocity", "odometry", "imu", "fix", "image", "truth"
+]
 
 TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+TWIST_TYPES = ("geometry_msgs/msg/TwistStamped", "geometry_msgs/msg/TwistWithCovarianceStamped")
 TYPES: dict[Use, tuple[str, ...]] = {
     "truth": ("nav_msgs/msg/Odometry",),
     "scan": ("sensor_msgs/msg/LaserScan", "sensor_msgs/msg/MultiEchoLaserScan"),
     "wheels": ("sensor_msgs/msg/JointState",),
     "voltages": ("geometry_msgs/msg/Vector3Stamped",),
+    "velocity": (*TWIST_TYPES, "nav_msgs/msg/Odometry"),
     "odometry": ("nav_msgs/msg/Odometry", *TF_TYPES),
     "imu": ("sensor_msgs/msg/Imu",),
     "fix": ("sensor_msgs/msg/NavSatFix",),
@@ -41,14 +46,17 @@ KINDS: dict[Use, type[Message]] = {
     "scan": LaserScan,
     "wheels": WheelAngles,
     "voltages": WheelAngles,
+    "velocity": Velocity,
     "odometry": OdometryPose,
     "imu": Imu,
     "fix": SatelliteFix,
     "image": Image,
 }
 TRUTH_TOPIC = "ground_truth"  # in its name; Stage has /base_pose_ground_truth
-ONLY_BY_NAME: tuple[Use, ...] = ("voltages",)
-"""Uses whose message type is generic: a topic has one only if the user names it."""
+ONLY_BY_NAME: tuple[Use, ...] = ("voltages", "velocity")
+"""Uses whose message type is generic (velocities may be commands): only topics that the user names have
+them."""
+COMMAND = "cmd"  # in the names of topics of commanded velocities
 EVENT_TYPE = "rcl_interfaces/msg/Log"
 
 KEPT = {

@@ -21,7 +21,7 @@ from impslam.errors import SourceError
 from impslam.sources.base import Mount, Source, Stream
 from impslam.sources.parts import Piece
 from impslam.sources.ros_frames import Edge, Frames, links
-from impslam.sources.ros_rows import Record, RowReader, lacks_wheels
+from impslam.sources.ros_rows import Record, RowReader
 from impslam.sources.ros_storage import (
     Bag,
     early_version,
@@ -42,11 +42,11 @@ from impslam.sources.ros_topics import (
     count_messages,
     rival_note,
 )
+from impslam.sources.ros_unread import JointFault, joint_fault, unread_motion
 from impslam.types import Message
 
 PART_SIZE = 1 << 23  # bytes of messages held at once, plus the one that exceeds it
 PRESET_TOPIC, PRESET_TYPE = "/impslam/preset", "std_msgs/msg/String"
-NO_WHEELS = "no wheels among the joints; name them with source.left_joint and source.right_joint"
 CLIMATE_TYPES = {
     "temperature": ("sensor_msgs/msg/Temperature", "temperature"),
     "humidity": ("sensor_msgs/msg/RelativeHumidity", "relative_humidity"),
@@ -64,7 +64,7 @@ class RosBag(Source):
     topics: dict[Use, str] = parameter(
         {},
         "1",
-        "topic for scan, wheels, odometry, imu, fix, image or truth; empty: use none",
+        "topic for scan, wheels, velocity, odometry, imu, fix, image or truth; empty: use none",
     )
     left_joint: str = parameter("", "1", "left wheel in JointState; empty: a name containing left")
     right_joint: str = parameter("", "1", "right wheel in JointState; empty: one containing right")
@@ -76,7 +76,10 @@ class RosBag(Source):
     _edge: Edge | None = PrivateAttr(default=None)  # the transform that may be odometry
     _mounts: dict[str, Mount] = PrivateAttr(default_factory=dict)
     _antennas: dict[str, Mount] = PrivateAttr(default_factory=dict)
-    _idle: set[str] = PrivateAttr(default_factory=set)  # transforms and joints without odometry
+    _idle: dict[str, str] = PrivateAttr(
+        default_factory=dict
+    )  # why transforms and joints are not read
+    _unread: str = PrivateAttr(default="")
     _watched: tuple[str, ...] = PrivateAttr(default=())
     _preset: str | None = PrivateAttr(default=None)  # None: not read yet
     _position: int = PrivateAttr(default=0)
@@ -140,6 +143,10 @@ class RosBag(Source):
         """Return the types of messages of the topics in use."""
         return frozenset(KINDS[use] for use in self._uses.values())
 
+    def unknown_odometry(self) -> str:
+        """Name topics of wheels and velocities that are not read as odometry."""
+        return self._unread
+
     def mounts(self) -> Mapping[str, Mount]:
         """Return the mounts of the lasers according to TF, by the topic of their scans."""
         return self._mounts
@@ -193,7 +200,7 @@ class RosBag(Source):
             frames = f": {edge.parent} -> {edge.child}" if edge and topic == edge.topic else ""
             return self._uses[topic] + frames
         if topic in self._idle:
-            return "frames" if kind in TF_TYPES else NO_WHEELS
+            return self._idle[topic]
         if topic == PRESET_TOPIC:
             return "preset"
         if self._preset and kind in KEPT:  # the log is from our recorder
@@ -209,18 +216,19 @@ class RosBag(Source):
         )
         self._edge = frames.odometry(self._default("scan"))
         odometry = self._edge.topic if self._edge else None
-        self._idle = {
-            c.topic
-            for c in bag.connections
-            if (c.msgtype in TF_TYPES and c.topic != odometry)
-            or (c.msgtype in TYPES["wheels"] and self._lacks_wheels(bag, c.topic))
-        }
+        faults = self._joint_faults(bag)
+        frames_only = {c.topic for c in bag.connections if c.msgtype in TF_TYPES} - {odometry}
+        self._idle = {topic: fault.text for topic, fault in faults.items()}
+        self._idle |= dict.fromkeys(frames_only, "frames")
+        self._unread = unread_motion(bag, faults)
         return {(topic, kind): n for (topic, kind), n in counts.items() if topic not in self._idle}
 
-    def _lacks_wheels(self, bag: Bag, topic: str) -> bool:
-        """Return whether a topic has no wheel joints, and the user has not named it."""
-        is_named = topic in self.topics.values()
-        return not is_named and lacks_wheels(bag, topic, (self.left_joint, self.right_joint))
+    def _joint_faults(self, bag: Bag) -> dict[str, JointFault]:
+        """Return why joints are no odometry, by topic, except for topics that the user has named."""
+        topics = {c.topic for c in bag.connections if c.msgtype in TYPES["wheels"]}
+        joints = self.left_joint, self.right_joint
+        found = {t: joint_fault(bag, t, joints) for t in topics - set(self.topics.values())}
+        return {topic: fault for topic, fault in sorted(found.items()) if fault is not None}
 
     def _default(self, use: Use) -> str:
         """Return the default topic of a use, or ""."""

@@ -4,10 +4,13 @@ import os
 from pathlib import Path
 
 import pytest
-from tests.sources.bags import ROS2, bag, scan
+from tests.sources.bags import ROS1, ROS2, bag, odometry, scan
+from tests.sources.logs import read
 
 from impslam.errors import SourceError
 from impslam.sources.base import recognise
+from impslam.sources.rosbag import RosBag
+from impslam.types import LaserScan
 
 CARMEN = "FLASER 3 1.0 2.0 3.0 0 0 0 0 0 0 1.0 host 1.0\n"
 
@@ -56,3 +59,31 @@ def test_the_folder_of_a_run_is_told_from_one_of_logs(tmp_path: Path) -> None:
 def test_a_folder_without_logs_is_of_no_known_format(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("hello\n")
     assert "no known log format; readable are" in refusal(tmp_path)
+
+
+NAMES = ["drive_0", "drive_1", "drive_2"]
+DATED = [f"2024-05-01-10-{k:02}-30_{k}" for k in (8, 9, 10)]
+
+
+@pytest.mark.parametrize("names", [NAMES, [f"a_{name}" for name in DATED], DATED])
+def test_the_pieces_of_a_split_bag_are_one_log(tmp_path: Path, names: list[str]) -> None:
+    """`rosbag record --split` names each piece by the time at which it begins, and its number."""
+    for k, name in enumerate(names):
+        entries = [("/odom", odometry(ROS1))] if k == 0 else []
+        scans = [("/scan", scan(ROS1, 5.0 * k + i)) for i in range(1, 6)]
+        bag(tmp_path / f"{name}.bag", *entries, *scans, store=ROS1)
+    found, source = read(tmp_path)
+    stamps = [m.stamp for m in found if isinstance(m, LaserScan)]
+    assert stamps == [float(k) for k in range(1, 16)]
+    assert len(found) == 16
+    assert not source.problems.counts
+    with RosBag(path=tmp_path) as log:
+        assert {stream.name: stream.count for stream in log.streams()} == {"/odom": 1, "/scan": 15}
+        assert log.total == 16
+
+
+@pytest.mark.parametrize("names", [["a_0", "b_1"], ["a", "b"], ["a_0", "a_00"]])
+def test_other_bags_in_one_folder_are_separate_logs(tmp_path: Path, names: list[str]) -> None:
+    for name in names:
+        bag(tmp_path / f"{name}.bag", ("/scan", scan(ROS1)), store=ROS1)
+    assert "it contains 2 logs" in refusal(tmp_path)

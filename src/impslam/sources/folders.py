@@ -1,8 +1,9 @@
-"""Says which logs are in a folder that is no log itself."""
+"""The files in a folder: the pieces of one bag, or the logs in a folder that is no log itself."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Collection
 from itertools import islice
 from pathlib import Path
 
@@ -10,6 +11,19 @@ MAX_SEARCHED, MAX_NAMED = 200, 5
 """Entries of a folder that are examined, and logs that are named."""
 RUN_FILES = ("summary.json", "config.toml")
 """Files of the result of a run; its tables look like logs."""
+
+_DATE = re.compile(r"\d{4}(-\d\d){5}")
+"""The time at which a piece begins, in its name by `rosbag record --split`."""
+
+
+def numbered_pieces(files: Collection[Path]) -> list[Path]:
+    """Return the pieces NAME_0, NAME_1, ... of one log in order; none if some have other names."""
+    found = {path: re.fullmatch(r"(.*)_(\d+)", _DATE.sub("", path.stem)) for path in files}
+    numbers = {path: int(name[2]) for path, name in found.items() if name}
+    names = {name[1] for name in found.values() if name}
+    if len(numbers) < len(files) or len(names) > 1 or len(set(numbers.values())) < len(files):
+        return []
+    return sorted(numbers, key=lambda path: numbers[path])
 
 
 def explain_folder(folder: Path, is_log: Callable[[Path], bool]) -> str:

@@ -7,11 +7,14 @@ truncated, is a sequence of complete chunks; the last one may be open, with a le
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Iterable, Iterator
+from contextlib import ExitStack
 from io import BytesIO
-from typing import BinaryIO
+from pathlib import Path
+from typing import Any, BinaryIO
 
 from rosbags import rosbag1
+from rosbags.interfaces import Connection
 from rosbags.rosbag1.reader import (
     Chunk,
     Header,
@@ -22,6 +25,7 @@ from rosbags.rosbag1.reader import (
     read_uint32,
 )
 
+from impslam.sources.folders import numbered_pieces
 from impslam.sources.unpack import UNIT_LIMIT, check_size, unpack_bz2, unpack_lz4
 
 _BOUNDED: dict[Callable[[bytes], bytes], Callable[[bytes], bytes]] = {
@@ -122,6 +126,67 @@ class BoundedReader1(rosbag1.Reader):
                 break
             at = following
         return at
+
+
+class SplitReader1:
+    """A folder with the pieces of a ROS 1 bag, as written by `rosbag record --split`."""
+
+    def __init__(self, path: Path) -> None:
+        self._pieces = [BoundedReader1(piece) for piece in self.pieces(path)]
+        self._stack = ExitStack()
+        self._merged: dict[tuple[str, str], Connection] = {}
+
+    @staticmethod
+    def pieces(path: Path) -> list[Path]:
+        """Return the pieces in order; none if the folder contains other bags."""
+        found = [file for file in path.glob("*.bag") if file.is_file()]
+        return numbered_pieces(found) if len(found) > 1 else []
+
+    def open(self) -> None:
+        """Open the pieces."""
+        try:
+            for piece in self._pieces:
+                piece.open()
+                self._stack.callback(piece.close)
+        except BaseException:
+            self.close()
+            raise
+        self._merged = merged(self._pieces)
+
+    def close(self) -> None:
+        """Close the pieces."""
+        self._stack.close()
+
+    @property
+    def is_cut(self) -> bool:
+        """Whether a piece is truncated."""
+        return any(piece.is_cut for piece in self._pieces)
+
+    @property
+    def connections(self) -> list[Connection]:
+        """One connection for each topic and type."""
+        return list(self._merged.values())
+
+    def messages(
+        self, connections: Collection[Connection]
+    ) -> Iterator[tuple[Connection, int, bytes]]:
+        """Yield (connection, log time in ns, data), piece by piece."""
+        wanted = {(c.topic, c.msgtype) for c in connections}
+        for piece in self._pieces:
+            own = [c for c in piece.connections if (c.topic, c.msgtype) in wanted]
+            for connection, time, data in piece.messages(own) if own else ():
+                yield self._merged[connection.topic, connection.msgtype], time, data
+
+
+def merged(pieces: Iterable[Any]) -> dict[tuple[str, str], Connection]:
+    """Return the connections of all pieces of a bag, one for each topic and type."""
+    known: dict[tuple[str, str], Connection] = {}
+    for connection in (c for piece in pieces for c in piece.connections):
+        name = connection.topic, connection.msgtype
+        before = known[name].msgcount if name in known else 0
+        count = connection.msgcount + before
+        known[name] = known.get(name, connection)._replace(msgcount=count)
+    return known
 
 
 def _following(file: BinaryIO) -> int:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import shutil
 import sqlite3
 import tempfile
@@ -17,7 +16,9 @@ from rosbags.rosbag2.metadata import ReaderMetadata
 from rosbags.rosbag2.reader import DirectoryReader
 from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 
+from impslam.sources.folders import numbered_pieces
 from impslam.sources.mcap_reader import CutMcapReader
+from impslam.sources.ros1_files import merged
 from impslam.sources.unpack import UNIT_LIMIT, check_unpacked, unpack_zstd
 
 
@@ -120,13 +121,7 @@ class UnlistedFolder(BagFolder):
     def pieces(path: Path) -> list[Path]:
         """Return the files of a bag in order, NAME_0, NAME_1, ...; none if there are others."""
         found = [file for suffix in _PIECES for file in path.glob(f"*{suffix}") if file.is_file()]
-        names = {file: re.fullmatch(r"(.+)_(\d+)", file.stem) for file in found}
-        numbers = {file: (name[1], int(name[2])) for file, name in names.items() if name}
-        if len(found) > 1 and (
-            len(numbers) < len(found) or len({n for n, _ in numbers.values()}) > 1
-        ):
-            return []
-        return sorted(found, key=lambda file: numbers.get(file, ("", 0)))
+        return numbered_pieces(found) if len(found) > 1 else found
 
     def open(self) -> None:
         """Open the files."""
@@ -140,13 +135,7 @@ class UnlistedFolder(BagFolder):
         except BaseException:
             self.close()
             raise
-        known: dict[tuple[str, str], Connection] = {}
-        for connection in (c for storage in self.storages for c in storage.connections):
-            name = connection.topic, connection.msgtype
-            before = known[name].msgcount if name in known else 0
-            count = connection.msgcount + before
-            known[name] = known.get(name, connection)._replace(msgcount=count)
-        self.connections = list(known.values())
+        self.connections = list(merged(self.storages).values())
 
 
 _PIECES: dict[str, Any] = {".mcap": CutMcapReader, ".db3": PlainSqlite3Reader}

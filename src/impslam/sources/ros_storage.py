@@ -15,11 +15,11 @@ from rosbags.typesys.store import Typestore
 
 from impslam.errors import SourceError
 from impslam.sources.mcap_reader import CutMcapReader, ForeignError
-from impslam.sources.ros1_files import BoundedReader1
+from impslam.sources.ros1_files import BoundedReader1, SplitReader1
 from impslam.sources.ros_files import BagFolder, PlainSqlite3Reader, UnlistedFolder
 from impslam.sources.unpack import LimitError
 
-Storage: TypeAlias = BoundedReader1 | BagFolder | CutMcapReader | PlainSqlite3Reader
+Storage: TypeAlias = BoundedReader1 | SplitReader1 | BagFolder | CutMcapReader | PlainSqlite3Reader
 RosMessage: TypeAlias = Any  # rosbags creates the classes at run time
 
 _MAGIC: dict[bytes, Callable[[Path], Storage]] = {
@@ -58,7 +58,8 @@ def storage_class(path: Path) -> Callable[[Path], Storage] | None:
     if path.is_dir():
         if (path / METADATA).is_file():
             return BagFolder
-        return UnlistedFolder if UnlistedFolder.pieces(path) else None
+        folders = (UnlistedFolder, SplitReader1)
+        return next((cls for cls in folders if cls.pieces(path)), None)
     start = _start(path)
     return next((cls for magic, cls in _MAGIC.items() if start.startswith(magic)), None)
 
@@ -100,7 +101,7 @@ class Bag:
             ) from None
         except Exception as error:  # rosbags may raise anything on a damaged index
             raise SourceError(f"{path}: cannot be opened ({one_line(error)}); {_REPAIR}") from None
-        self._path, self.is_ros1 = path, make is BoundedReader1
+        self._path, self.is_ros1 = path, make in (BoundedReader1, SplitReader1)
         self.is_cut = not isinstance(self._storage, PlainSqlite3Reader) and self._storage.is_cut
 
     def close(self) -> None:

@@ -130,6 +130,13 @@ def test_a_part_that_every_run_has_cannot_be_taken_out():
     assert refuse("filter.kind=none").endswith("estimators that do not need it ignore it")
 
 
+def test_missing_parameters_are_named_together_with_units():
+    said = refuse("odometry.kind=encoders")
+    assert said.startswith("odometry.wheel_radius (m, radius of the wheels")
+    assert " and odometry.track (m, " in said
+    assert said.endswith(" are missing; add them")
+
+
 def test_a_part_that_was_taken_out_can_be_put_back():
     config = load("thesis-lines", ["sensors.lidar.extractors.cylinders.kind=circle"])
     assert config.sensors["lidar"]["extractors"]["cylinders"] == {"kind": "circle"}
@@ -294,7 +301,7 @@ def test_a_log_may_not_name_a_file(tmp_path: Path, monkeypatch):
         ('base = "evil.toml"\n', "base = 'evil.toml', which a log may not choose"),
         ('base = "imp"\n', "base = 'imp', which a log may not choose"),
         ("a\n=", "its own config: not valid TOML"),
-        ("seed = 1\n", "odometry is missing"),
+        ("seed = 1\n", "odometry, sensors, association, lifecycle and filter are missing"),
         ("a = " + "[" * 1500 + "\n", "nested too deeply"),
         ("seed = " + "9" * 5000 + "\n", "too many digits"),
         ("imp" * 10_000, "asks for the preset 'impimp"),

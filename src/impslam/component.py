@@ -23,7 +23,7 @@ import pkgutil
 import re
 import sys
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar, get_args
@@ -295,11 +295,23 @@ def explain(error: ValidationError, where: str, known: Any) -> str:
         inner = _fields_within(first["loc"][:-1], known)
         return f"{path} is not a parameter; {near_miss(str(first['loc'][-1]), inner)}"
     if first["type"] == "missing":
-        return f"{path} is missing; add it"
+        lost = [one["loc"] for one in error.errors() if one["type"] == "missing"]
+        *others, last = (_describe_missing(loc, where, known) for loc in lost)
+        rest = f"{', '.join(others)} and {last} are missing; add them"
+        return rest if others else f"{last} is missing; add it"
     value = shorten(first.get("input"))
     if first["type"] == "dict_type":
         return f"{path} = {value}: expected a table, e.g. {path}.kind = NAME"
     return f"{path} = {value}: {first['msg'].removeprefix('Value error, ')}"
+
+
+def _describe_missing(loc: Sequence[int | str], where: str, known: Any) -> str:
+    """Return the name of a missing parameter, with its unit and meaning if they are known."""
+    path = ".".join(str(part) for part in (where, *loc) if part != "")
+    field = known.get(loc[0]) if isinstance(known, Mapping) and len(loc) == 1 else None
+    extra = getattr(field, "json_schema_extra", None)
+    unit = extra.get("unit") if isinstance(extra, dict) else ""
+    return f"{path} ({unit}, {field.description})" if field is not None and unit else path
 
 
 def shorten(value: object) -> str:

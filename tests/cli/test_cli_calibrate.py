@@ -1,28 +1,62 @@
 """`imp calibrate`: a config that loads, a picture, numbers, and one line for what cannot be done."""
 
 import json
+import math
 
 import pytest
 
 from impslam.config import load
+from impslam.geometry.se2 import between
 from impslam.simulation.robot import SimulatedRobot, WheelEncoders
 from impslam.simulation.simulate import simulate
 from impslam.simulation.world import load_world
 from impslam.sources.recording import McapWriter
+from impslam.types import LaserScan, TruePose
 
 SETTINGS = ("--set", "sensors.lidar.mount=[0.1,0.03,0.1]")
 
 
-@pytest.fixture(scope="module")
-def eight(tmp_path_factory):
-    """A log of a figure of eight in the room."""
-    world, log = load_world("room"), tmp_path_factory.mktemp("eight") / "eight.mcap"
+def figure_of_eight():
+    """Return the messages of a drive in the room."""
+    world = load_world("room")
     way = ((0.9, 0.3), (1.5, 0.9), (0.9, 1.3), (0.3, 0.9), (0.9, 0.4), (0.3, -0.3), (-0.2, 0.3))
     plan = world.robot.model_copy(update={"waypoints": way, "lookahead": 0.2})
+    return simulate(world.model_copy(update={"robot": plan, "cylinders": ()}))
+
+
+@pytest.fixture(scope="module")
+def eight(tmp_path_factory):
+    """A log of a figure of eight."""
+    log = tmp_path_factory.mktemp("eight") / "eight.mcap"
     with McapWriter(log, "imp") as writer:
-        for message in simulate(world.model_copy(update={"robot": plan, "cylinders": ()})):
+        for message in figure_of_eight():
             writer.write(message)
     return log
+
+
+@pytest.fixture(scope="module")
+def table(tmp_path_factory):
+    """A CSV log of the same drive; its speeds are 10 % too small, its poses stand still."""
+    log = tmp_path_factory.mktemp("table") / "table.csv"
+    last, lines = None, []
+    for message in figure_of_eight():
+        if isinstance(message, TruePose):
+            if last is not None:
+                speed, _, rate = between(last.pose, message.pose) / (message.stamp - last.stamp)
+                lines.append([last.stamp, 0.9 * speed, rate, 0.0, 0.0, 0.0, *BEAMS * [""]])
+            last = message
+        elif isinstance(message, LaserScan):
+            kept = message.ranges[:: len(message.ranges) // BEAMS][:BEAMS].tolist()
+            lines.append([message.stamp, *5 * [""], *kept])
+            angles = message.angles[:: len(message.ranges) // BEAMS].tolist()
+    head = ",".join(
+        ["t,speed,turn_rate,a,b,c", *(f"{math.degrees(a):.6f}" for a in angles[:BEAMS])]
+    )
+    log.write_text("\n".join([head, *(",".join(map(str, line)) for line in lines)]) + "\n")
+    return log
+
+
+BEAMS = 170
 
 
 def test_files(imp, eight, tmp_path):
@@ -45,6 +79,24 @@ def test_files(imp, eight, tmp_path):
         "right_left_ratio",
         "track",
     ]
+
+
+def test_odometry_that_the_log_has_chosen(imp, table, tmp_path):
+    """The written config names it, although that of the preset is another one."""
+    config = tmp_path / "calibrated.toml"
+    said = imp("calibrate", table, *SETTINGS, "-o", config)
+    assert said.code == 0
+    assert "robot's lengths: --keep speed_scale" in " ".join(said.out.split())
+    odometry = load(config).odometry
+    assert odometry["kind"] == "velocity"
+    assert odometry["speed_scale"] == pytest.approx(1.0 / 0.9, abs=0.02)
+
+
+def test_odometry_that_stands_still(imp, table):
+    still = ("--columns", "x=a,y=b,theta=c", "-c", "default")
+    said = imp("calibrate", table, *still)
+    assert said.code == 2
+    assert "its odometry stands still" in said.err
 
 
 @pytest.mark.parametrize(

@@ -17,9 +17,11 @@ from impslam.calibration.order_clock import MAX_DISORDER, reorder_stamps
 from impslam.calibration.recording import CalibrationRows, first_lidar
 from impslam.calibration.residuals import LIDAR_PARAMETERS, CalibrationDrive
 from impslam.calibration.scan_pairs import match_pairs
+from impslam.columns import Columns
 from impslam.config import Config
 from impslam.errors import ConfigError, SourceError
 from impslam.odometry.base import Odometry
+from impslam.odometry.stream import OdometryStream
 from impslam.sensors.lidar2d import Lidar2D
 from impslam.types import Array, Mask
 
@@ -118,7 +120,7 @@ def extract_drives(
     Raises
     ------
     SourceError
-        If it has no odometry, or too little motion.
+        If it has no odometry that moves, or too little motion.
     """
     odometry, (_, lidar) = config.make_robot().odometry, first_lidar(config)
     if not odometry.measures_motion or not recording.odometry:
@@ -127,6 +129,11 @@ def extract_drives(
         raise SourceError(
             f"{where}: has no {missing} to calibrate; record odometry, or choose the kind that the log "
             "has with --set odometry.kind="
+        )
+    if not _moves(odometry, recording.odometry):
+        raise SourceError(
+            f"{where}: its odometry stands still; `imp inspect` shows whether the log has another one, or "
+            "what to set"
         )
     recording, disorder = reorder_stamps(recording)
     path = lidar_path(lidar, recording.scans)
@@ -150,6 +157,14 @@ def extract_drives(
             "with turns to both sides, near walls"
         )
     return out
+
+
+def _moves(odometry: Odometry, pieces: Sequence[Columns]) -> bool:
+    """Return whether odometry reports any motion."""
+    rows = (
+        OdometryStream(odometry).motions(piece).motions.d_pose for piece in pieces if len(piece)
+    )
+    return any((np.abs(d_pose) > 0.0).any() for d_pose in rows)
 
 
 def calibrate(

@@ -29,7 +29,6 @@ ADVICE = {
     "turn_scale": "drive turns to both sides",
     "latency": "change speed and turn rate often",
     "range_offset": "pass walls at an angle",
-    "range_scale": "not separable from the robot's lengths: --keep wheel_radius or --keep track",
 }
 """How to make each parameter observable."""
 
@@ -84,7 +83,7 @@ def calibrate(  # noqa: PLR0913  # each is an option that a user may give
     else:
         result = _calibrate(logs, config, changes, keep, output, json, quiet)
     if output is not None:
-        _write(result, logs, config, settings, output)
+        _write(result, logs, config, changes, output)
         if not quiet:
             console.echo(str(output))
 
@@ -171,10 +170,13 @@ def _show(found: Calibration, keep: Sequence[str]) -> None:
 
 
 def _rows(found: Calibration, keep: Sequence[str]) -> Iterator[tuple[str, ...]]:
+    from impslam.calibration.calibrate import LENGTHS
     from impslam.calibration.order_clock import MAX_DISORDER
 
+    lengths = (f"--keep {one.name}" for one in found.parameters if one.name in LENGTHS)
     back = max(drive.disorder for drive in found.drives)
-    advice = dict(ADVICE)
+    scale = f"not separable from the robot's lengths: {' or '.join(lengths)}"
+    advice = {**ADVICE, "range_scale": scale}
     if back > MAX_DISORDER:
         advice["latency"] = f"stamps run back by {back:.2f} s"
     for one in found.parameters:
@@ -218,6 +220,8 @@ def _write(
     initial: dict[str, Any] = config.resolved() if name is None else {"base": name}
     for setting in settings:
         initial = merge(initial, parse_setting(setting))
+    # The log may have chosen another kind of odometry than the base.
+    initial = merge(initial, {"odometry": {"kind": config.odometry["kind"]}})
     lines = "".join(f"# {line}\n" for line in comments)
     names = ", ".join(log.name for log in logs)
     output.parent.mkdir(parents=True, exist_ok=True)

@@ -95,6 +95,13 @@ def test_other_files_are_one_line_errors(tmp_path: Path, content: bytes) -> None
         recognise(path)
 
 
+def test_for_other_formats_csv_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "file"
+    path.write_bytes(b"XIAON 224 0000 0001\n")
+    with pytest.raises(SourceError, match="of another format as CSV"):
+        recognise(path)
+
+
 def test_a_file_that_begins_with_zeros_is_explained(tmp_path: Path) -> None:
     """As a recorder leaves it that goes on behind what another program cut off."""
     path = tmp_path / "file.mcap"

@@ -267,7 +267,8 @@ def recognise(path: Path) -> type[Source]:
         reasons.append("it begins with zeros: writing was interrupted, or the disk lost the data")
     known = ", ".join(names("source"))
     text = f"{path}: no known log format; readable are {known} (see `imp list`)"
-    raise SourceError("; ".join([text, *filter(None, reasons)]))
+    others = ["write stamps, poses and ranges of another format as CSV (docs/formats.md)"]
+    raise SourceError("; ".join([text, *(list(filter(None, reasons)) or others)]))
 
 
 def _kinds() -> Iterator[type[Source]]:

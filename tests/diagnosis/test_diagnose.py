@@ -127,6 +127,29 @@ def test_scan_matching_tolerates_a_lag_of_one_sweep_but_not_of_a_queue(
     assert worst_health(findings).reason == reason
 
 
+@pytest.mark.parametrize("seconds", [-8.0, -2.5, 1.0, 5.0])
+def test_the_clock_of_another_computer_is_found(drive, seconds) -> None:
+    """Nothing synchronises it; it may be off by much more than the delay of any driver."""
+    wrong = list(faults.faulty(drive, faults.late(seconds)))
+    (finding,) = found(wrong, MATCHED)
+    assert finding.kind == "stamps late"
+    assert set_by(finding.fix)["sensors.lidar.latency"] == pytest.approx(seconds, abs=0.02)
+    assert found(wrong, MATCHED, *finding.fix) == []
+
+
+@pytest.mark.parametrize("seconds", [500.0, 1e9])
+def test_clocks_that_share_no_time_are_aligned_by_the_order_of_the_log(drive, seconds) -> None:
+    wrong = list(faults.faulty(drive, faults.late(seconds)))
+    (finding,) = found(wrong, MATCHED)
+    assert finding.kind == "clocks apart"
+    assert set_by(finding.fix)["sensors.lidar.latency"] == pytest.approx(seconds, abs=0.2)
+    assert harm(wrong, MATCHED, *finding.fix) == {}
+
+
+def set_by(fix: Iterable[str]) -> dict[str, float]:
+    return {key: float(value) for key, value in (one.split("=") for one in fix)}
+
+
 def test_sound_log_has_sound_health(drive) -> None:
     assert worst_health(found(drive)) == SOUND
 

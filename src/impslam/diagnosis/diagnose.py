@@ -19,7 +19,7 @@ from impslam.diagnosis.no_return import check_noise, check_value
 from impslam.diagnosis.odometry import check_odometry
 from impslam.diagnosis.presets import check_preset
 from impslam.diagnosis.scales import check_scales
-from impslam.diagnosis.stamps import check_overlap, check_stamps
+from impslam.diagnosis.stamps import check_clocks, check_overlap, check_stamps
 from impslam.diagnosis.units import check_pose_units, check_range_unit
 from impslam.diagnosis.wheels import check_wrap
 from impslam.health import Standing
@@ -36,7 +36,7 @@ FIRST_SCANS = 600
 MIN_SCANS = 50
 """Fewer scans do not contain enough motion, and matching them takes longer than such a run."""
 
-LIDAR_ROOTS = (check_range_unit, check_noise, check_overlap)
+LIDAR_ROOTS = (check_range_unit, check_noise, check_overlap, check_clocks)
 ODOMETRY_ROOTS = (check_wrap, check_pose_units, check_preset)
 """The faults of a lidar, and of odometry, that these find would cause findings of the other checks."""
 CHECKS = (

@@ -17,6 +17,9 @@ from impslam.types import Array, Ints
 
 MAX_LAG, LAG_STEP = 1.0, 0.05
 """s: range and step of the search: half of the time in which the quickest turn begins."""
+WIDE_LAG = 10.0
+"""s: range of a second search if the first one finds nothing: clocks of two computers that nothing
+synchronises differ by seconds."""
 RATE_INTERVAL = 0.1
 """s over which a turn rate is computed: the time between two readings of slow odometry."""
 MAX_READING_PERIOD = 0.6
@@ -48,14 +51,22 @@ def estimate_lag(motion: SweepMotions, odometer: Odometer) -> Lag | None:
     steps = np.diff(odometer.stamps)
     if not len(steps) or np.median(steps) > MAX_READING_PERIOD:
         return None
+    found = _search(motion, odometer, MAX_LAG)
+    if found is not None and abs(found.seconds) < MAX_LAG - LAG_STEP:
+        return found
+    return _search(motion, odometer, WIDE_LAG) or found
+
+
+def _search(motion: SweepMotions, odometer: Odometer, largest: float) -> Lag | None:
+    """Return the lag within `largest` s of 0; None if odometry is uncorrelated with the laser there."""
     rows = _turning(motion)
     before, after = motion.stamps[rows - 1], motion.stamps[rows]
-    whole = odometer.is_whole(before - MAX_LAG, after + MAX_LAG)
+    whole = odometer.is_whole(before - largest, after + largest)
     rows, before, after = rows[whole], before[whole], after[whole]
     if len(rows) < 5 * BLOCK:
         return None
     turns = motion.twists[rows, 2]
-    lags = np.arange(-MAX_LAG, MAX_LAG + LAG_STEP, LAG_STEP)
+    lags = np.arange(-largest, largest + LAG_STEP, LAG_STEP)
     errors = [_rms(_rows(odometer, before - late, after - late), turns) for late in lags]
     late = float(lags[np.argmin(errors)])
     for _ in range(4):

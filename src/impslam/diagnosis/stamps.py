@@ -32,6 +32,29 @@ def check_overlap(e: Evidence) -> Iterator[Finding]:
         )
 
 
+def check_clocks(e: Evidence) -> Iterator[Finding]:
+    """Find scans whose stamps are of another clock than those of odometry: they share no time."""
+    scans, readings = e.recording.scans, e.recording.odometry
+    if e.untimed or not scans or not readings:
+        return
+    taken, known = (np.concatenate([c.stamps for c in one]) for one in (scans, readings))
+    off = taken - e.lidar.latency
+    if off.max() >= known.min() and off.min() <= known.max():
+        return
+    orders, others = (np.concatenate([c.order for c in one]) for one in (scans, readings))
+    before = np.maximum(np.searchsorted(others, orders) - 1, 0)
+    late = float(np.median(taken - known[before]))
+    yield Finding(
+        "clocks apart",
+        f"scans are stamped {taken.min():.3f} to {taken.max():.3f} s, odometry {known.min():.3f} to "
+        f"{known.max():.3f} s",
+        (f"{e.lidar_key}.latency={late:.3f}",),
+        advice="the difference is that by the order of the log; inspect it again with this setting",
+        health=Standing(MISTIMED, abs(late - e.lidar.latency)),
+        lidar=e.name,
+    )
+
+
 def _sweep(scans: Sequence[Columns]) -> float:
     """Return the median duration of the sweeps, s; 0 without scans.
 

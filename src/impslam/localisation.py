@@ -97,7 +97,7 @@ def localise(
         best = compose(answer.hypotheses[0].pose, T_middle_stamp) if answer.hypotheses else None
         yield Located(stamp, best, answer, seconds)
     if count < 0:
-        raise SourceError(source.problems.explain_emptiness(source.path))
+        raise SourceError(source.explain_emptiness())
 
 
 def _scans(robot: Robot, source: Source) -> Iterator[tuple[float, Scan, Array]]:

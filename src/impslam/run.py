@@ -377,7 +377,7 @@ class Run:
         if self.scans == 0 and self._continuation.refusal:
             raise SourceError(f"{source.path}: {self._continuation.refusal}")
         if self.scans == 0:
-            raise SourceError(source.problems.explain_emptiness(source.path))
+            raise SourceError(source.explain_emptiness())
         if not self.robot.counts.get(wanted):
             hint = source.unknown_odometry() or "`imp inspect` lists its contents"
             raise SourceError(

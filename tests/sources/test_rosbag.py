@@ -13,6 +13,7 @@ from rosbags.rosbag1 import Writer as Writer1
 from tests.sources.bags import ROS1, ROS2, bag, image, imu, joints, odometry, scan, twist
 from tests.sources.logs import assert_same, messages, read, write_mcap
 
+import impslam
 from impslam import columns
 from impslam.errors import SourceError
 from impslam.open_log import open_log
@@ -224,6 +225,17 @@ def test_a_wanted_second_lidar_is_a_separate_stream(tmp_path: Path) -> None:
 def test_a_point_cloud_is_told_what_reads_it() -> None:
     note = rival_note("/points", "sensor_msgs/msg/PointCloud2", {"/odom": "odometry"})
     assert note.startswith("not read: make a LaserScan of it with")
+
+
+def test_a_run_without_scans_names_the_point_cloud(tmp_path: Path) -> None:
+    fields = [ROS2.types["sensor_msgs/msg/PointField"](n, 4 * k, 7, 1) for k, n in enumerate("xyz")]
+    head, data = scan(ROS2).header, np.zeros(12, np.uint8)
+    cloud = ROS2.types["sensor_msgs/msg/PointCloud2"](head, 1, 1, fields, False, 12, 12, data, True)
+    path = bag(tmp_path / "b", ("/points", cloud), ("/odom", odometry(ROS2)))
+    with pytest.raises(
+        SourceError, match=r"no usable scan; /points is a PointCloud2: make a Laser"
+    ):
+        impslam.run(path)
 
 
 def test_a_bag_that_cannot_be_opened_is_an_error_with_advice(tmp_path: Path) -> None:

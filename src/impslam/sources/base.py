@@ -76,12 +76,6 @@ class Problems:
         self.counts[kind] = self.counts.get(kind, 0) + count
         self.examples.setdefault(kind, example)
 
-    def explain_emptiness(self, path: Path) -> str:
-        """Return the message on a log without a usable scan: the commonest problem, or where to look."""
-        most = max(self.counts, key=lambda kind: self.counts[kind], default="")
-        why = f"{self.counts[most]} x {most}: {self.examples[most]}" if most else ""
-        return f"{path}: contains no usable scan; {why or '`imp inspect` lists its contents'}"
-
 
 class Source(Component):
     """A context manager that reads the streams of a log as columns, lazily and in bounded memory.
@@ -183,6 +177,20 @@ class Source(Component):
         The source must be open, or have been open.
         """
         return ""
+
+    def missing_scans(self) -> str:
+        """Say how scans can be made of what a log without scans contains; "" if that is unknown.
+
+        The source must be open, or have been open.
+        """
+        return ""
+
+    def explain_emptiness(self) -> str:
+        """Return the message on a log without a usable scan: how to have some, or the commonest problem."""
+        counts, examples = self.problems.counts, self.problems.examples
+        most = max(counts, key=lambda kind: counts[kind], default="")
+        why = self.missing_scans() or (most and f"{counts[most]} x {most}: {examples[most]}")
+        return f"{self.path}: contains no usable scan; {why or '`imp inspect` lists its contents'}"
 
     def mounts(self) -> Mapping[str, Mount]:
         """Return the mounts of the lasers according to the log, by the stream of their scans.

@@ -57,6 +57,8 @@ ONLY_BY_NAME: tuple[Use, ...] = ("voltages", "velocity")
 """Uses whose message type is generic (velocities may be commands): only topics that the user names have
 them."""
 COMMAND = "cmd"  # in the names of topics of commanded velocities
+CLOUD_TYPE = "sensor_msgs/msg/PointCloud2"
+MAKE_SCANS = "make a LaserScan of it with the ROS package pointcloud_to_laserscan"
 EVENT_TYPE = "rcl_interfaces/msg/Log"
 
 KEPT = {
@@ -131,8 +133,8 @@ def _check(log: Path, use: Use, topic: str, counts: Counts) -> None:
 
 def rival_note(topic: str, kind: str, defaults: Mapping[str, Use]) -> str:
     """Return why a topic is not read, and how to read it; or ""."""
-    if kind == "sensor_msgs/msg/PointCloud2":
-        return "not read: make a LaserScan of it with the ROS package pointcloud_to_laserscan"
+    if kind == CLOUD_TYPE:
+        return f"not read: {MAKE_SCANS}"
     uses = [use for use, kinds in TYPES.items() if kind in kinds]
     taken = {use: name for name, use in defaults.items() if use in uses}
     if not taken:

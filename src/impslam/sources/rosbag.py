@@ -30,9 +30,11 @@ from impslam.sources.ros_storage import (
     storage_class,
 )
 from impslam.sources.ros_topics import (
+    CLOUD_TYPE,
     EVENT_TYPE,
     KEPT,
     KINDS,
+    MAKE_SCANS,
     TF_TYPES,
     TYPES,
     Counts,
@@ -80,6 +82,7 @@ class RosBag(Source):
         default_factory=dict
     )  # why transforms and joints are not read
     _unread: str = PrivateAttr(default="")
+    _clouds: list[str] = PrivateAttr(default_factory=list)  # topics of them, if there are no scans
     _watched: tuple[str, ...] = PrivateAttr(default=())
     _preset: str | None = PrivateAttr(default=None)  # None: not read yet
     _position: int = PrivateAttr(default=0)
@@ -146,6 +149,10 @@ class RosBag(Source):
     def unknown_odometry(self) -> str:
         """Name topics of wheels and velocities that are not read as odometry."""
         return self._unread
+
+    def missing_scans(self) -> str:
+        """Name point clouds in a log without scans."""
+        return f"{', '.join(self._clouds)} is a PointCloud2: {MAKE_SCANS}" if self._clouds else ""
 
     def mounts(self) -> Mapping[str, Mount]:
         """Return the mounts of the lasers according to TF, by the topic of their scans."""
@@ -214,6 +221,8 @@ class RosBag(Source):
         self._defaults = choose(
             self.path, {u: t for u, t in self.topics.items() if u == "scan"}, without_tf
         )
+        clouds = sorted(topic for (topic, kind), n in counts.items() if n and kind == CLOUD_TYPE)
+        self._clouds = [] if self._default("scan") else clouds
         self._edge = frames.odometry(self._default("scan"))
         odometry = self._edge.topic if self._edge else None
         faults = self._joint_faults(bag)

@@ -2,14 +2,18 @@
 
 import numpy as np
 import pytest
-from tests.extractors.scans import room
+from tests.extractors.scans import regular_angles, room
 from tests.recognition.plans import OFFICE, place, walls, way
 
+from impslam.estimators.loop_closing import MIN_CONTRADICTED
 from impslam.geometry.se2 import compose
+from impslam.recognition.submap import Submap
 from impslam.recognition.verify import (
     MIN_SEEN,
+    STRONG_SHARE,
     ClosureStrength,
     Support,
+    excess_in_free_space,
     judge,
     share_in_free_space,
     verify,
@@ -20,12 +24,21 @@ SQUARE = room(-4.0, 4.0, -3.0, 3.0)
 SHELF = walls([-1.0, 1.5, 2.0, 1.5])
 WAY = way(-1.0, -0.5, 1.0, -0.5, 4)
 HERE = np.zeros(3)
+TURN = 2.0 * np.pi
 
 
 def support(reference, query, pose=HERE):
     known = empty_surface_map(40.0, 40.0, 20000)
     add(known, reference.features, HERE, 20.0)
     return verify(known, reference, query, pose)
+
+
+def free_shares(reference, query, pose=HERE):
+    """Return the share of contradicted points, and its excess over those by which either does itself."""
+    known = empty_surface_map(40.0, 40.0, 20000)
+    add(known, reference.features, HERE, 20.0)
+    pair = known, reference, query, pose
+    return share_in_free_space(*pair), excess_in_free_space(*pair)
 
 
 def seen(plan, poses=WAY, seed=0):
@@ -53,10 +66,40 @@ def test_what_the_query_saw_free_contradicts_the_reference():
 def test_contradicted_points_are_counted_on_either_side():
     bare, furnished = seen(SQUARE), seen(np.concatenate([SQUARE, SHELF]))
     for reference, query in ((bare, furnished), (furnished, bare)):
-        known = empty_surface_map(40.0, 40.0, 20000)
-        add(known, reference.features, HERE, 20.0)
-        assert 0.05 < share_in_free_space(known, reference, query, HERE) < 0.3
-        assert share_in_free_space(known, reference, reference, HERE) == 0.0
+        share, excess = free_shares(reference, query)
+        assert 0.05 < excess <= share < 0.3
+        assert free_shares(reference, reference) == (0.0, 0.0)
+
+
+def test_chair_legs_that_most_beams_miss_contradict_nothing():
+    """Legs of 2 cm and beams 1 deg apart: from a metre on, some beams pass on either side of a leg."""
+    rng, hall, coarse = (
+        np.random.default_rng(1),
+        room(-7.0, 7.0, -5.0, 5.0),
+        regular_angles(360, TURN),
+    )
+    legs = np.column_stack([rng.uniform((-6, -4), (6, 4), (300, 2)), np.full(300, 0.01)])
+    reference, query = (
+        place(hall, way(-3.0, y, 3.0, y, 12), HERE, 0.05, circles=legs, seed=seed, angles=coarse)
+        for seed, y in enumerate((-0.9, 0.9))
+    )
+    share, excess = free_shares(reference, query)
+    assert share < MIN_CONTRADICTED
+    assert excess < 0.0
+    assert support(reference, query).agreement > STRONG_SHARE + 0.05
+    assert free_shares(reference, query, np.array([0.5, 0.0, 0.6]))[1] > MIN_CONTRADICTED
+
+
+def test_walls_that_a_submap_contradicts_itself_do_count():
+    """The query begins where the reference was, and goes on elsewhere: the robot was carried meanwhile."""
+    shelf = np.concatenate([SQUARE, SHELF])
+    scans = [seen(plan, WAY) for plan in (SQUARE, shelf)]
+    query = Submap(
+        np.concatenate([s.features for s in scans]),
+        np.concatenate([s.vantages for s in scans]),
+        np.concatenate([s.free for s in scans]),
+    )
+    assert free_shares(seen(SQUARE, seed=1), query)[1] > 0.05
 
 
 def test_what_the_reference_never_saw_has_no_effect():

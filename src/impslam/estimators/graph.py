@@ -189,13 +189,13 @@ class Graph(Estimator):
 
         The robot was carried, or its pose was lost, before the first of them without notice.
         """
-        nodes = self._closer.contradicted
-        if len(nodes) < MIN_CONTRADICTIONS:
+        if len(self._closer.contradicted) < MIN_CONTRADICTIONS:
             return False
         self._closer.contradicted = []
-        if not self._sessions.separate(nodes[0], self._keys, self._graph):
+        first = self._closer.doubtful
+        if not self._sessions.separate(first, self._keys, self._graph):
             return False
-        for later in range(nodes[0], node + 1):
+        for later in range(first, node + 1):
             self._sessions.place(later, self._keys, self._graph)
         return True
 

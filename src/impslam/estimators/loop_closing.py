@@ -37,10 +37,11 @@ MIN_EVIDENCE = 2.5
 1.25 times the common area of a strong one."""
 CONFIRMATION_DISTANCE = 12.0  # m driven within which a second closure has to agree
 MAX_KNOWN_WINDOW = 3.0  # m: a node whose window is no wider should be where the graph has it
-MIN_CONTRADICTED, MIN_CONTRADICTED_WEAK = 0.1, 0.25
-"""Share of the points of a node or of its reference in the free space of the other at which they contradict
-each other: without a closure, and with a weak one. In the failed searches of three recorded buildings it is
-at most 0.02, in a simulated hall with 20 people at most 0.23, and 0.11 to 0.4 for carried robots."""
+MIN_CONTRADICTED = 0.1
+"""Share of the points of a node or of its reference in the free space of the other, in excess of those in
+its own, at which they contradict each other, unless a strong closure joins them. In the failed searches of
+three recorded buildings it is at most 0.02, in simulations of an office with 50 chairs and of a hall with
+20 people at most 0.05, and 0.11 to 0.5 for carried robots."""
 MIN_CONTRADICTIONS = 3  # nodes in a row: 7 m of driving
 
 
@@ -121,17 +122,20 @@ class LoopCloser:
     Attributes
     ----------
     contradicted : the newest nodes, in a row, that what was seen there earlier contradicts
+    doubtful : the node from which on the robot may be elsewhere if there are such nodes
     """
 
     def __init__(self, search: LoopSearch) -> None:
         self._search, self.recogniser = search, Recogniser(search.overlap)
         self._pending: list[PendingClosure] = []
         self.contradicted: list[int] = []
+        self.doubtful = self._unconfirmed = 0
 
     def copy(self) -> LoopCloser:
         """Return one that continues the search on a copy of the graph."""
         other = LoopCloser(self._search)
         other._pending, other.contradicted = list(self._pending), list(self.contradicted)
+        other.doubtful, other._unconfirmed = self.doubtful, self._unconfirmed
         return other
 
     def search(self, node: int, keys: KeyframeLog, graph: PoseGraph) -> bool:
@@ -159,24 +163,37 @@ class LoopCloser:
                 window = self.window(float(paths[u]))
                 closure = self.recogniser.close(reference, query, guess, window)
                 is_known = window.x <= MAX_KNOWN_WINDOW and offsets[u] < 0.5 * REFERENCE_RADIUS
-                if is_known and self._contradicts(query, guess, closure):
+                contradicts = is_known and self._contradicts(query, guess, closure)
+                if contradicts:
                     closure = None
-                    self.contradicted += [node] if attempt == 0 else []
-                elif attempt == 0:
-                    self.contradicted = []
+                if attempt == 0:
+                    self._note(node, contradicts, closure)
                 if closure is not None:
                     new = PendingClosure(u, node, closure, float(driven[node]))
                     return self._accept(new, graph, windows[u])
             rank[np.abs(driven - driven[u]) < PASS_DISTANCE] = np.inf
         return False
 
+    def _note(self, node: int, contradicts: bool, closure: Closure | None) -> None:
+        """Note whether the map contradicts a node.
+
+        The query of the node before the first such one may contain scans from two places. Then it
+        contradicts itself, which says nothing about the map, but it has no closure either.
+        """
+        if not contradicts:
+            self.contradicted = []
+            self._unconfirmed = node if closure is None else 0
+            return
+        if not self.contradicted:
+            self.doubtful = node - 1 if self._unconfirmed == node - 1 else node
+        self.contradicted.append(node)
+
     def _contradicts(self, query: Submap, guess: Array, closure: Closure | None) -> bool:
         """Return whether the last reference contradicts a query that it should contain."""
-        if closure is None:
-            return self.recogniser.contradiction(query, guess) >= MIN_CONTRADICTED
-        if closure.verdict == ClosureStrength.STRONG:
+        if closure is not None and closure.verdict == ClosureStrength.STRONG:
             return False
-        return self.recogniser.contradiction(query, closure.pose) >= MIN_CONTRADICTED_WEAK
+        pose = guess if closure is None else closure.pose
+        return self.recogniser.contradiction(query, pose) >= MIN_CONTRADICTED
 
     def compare(
         self, node: int, pose: Array, window: Window, keys: KeyframeLog, graph: PoseGraph

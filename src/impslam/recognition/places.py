@@ -24,6 +24,7 @@ from impslam.recognition.verify import (
     MIN_MATCHED,
     ClosureStrength,
     Support,
+    excess_in_free_space,
     judge,
     share_in_free_space,
     verify,
@@ -149,13 +150,16 @@ class Recogniser:
     def contradiction(self, query: Submap, guess: Array) -> float:
         """Return the share of points by which the last reference and a query contradict each other.
 
-        It is that of the points of either in the free space of the other, at the guess (3,) or at the
-        nearest pose that fits, where it is smaller. What the reference does not show contradicts nothing.
+        It is that of the points of either in the free space of the other, in excess of those in its own, at
+        the guess (3,) or at the nearest pose that fits, where it is smaller. What the reference does not
+        show contradicts nothing.
         """
         if self.outcome == "too few points":
             return 0.0
+        assert self._reference is not None
         nearest = self._settle(query, plain(guess), FINE, FINE_PRIOR).pose
-        return min(self._contradicted(query, pose) for pose in (guess, nearest))
+        pair = self._known, self._reference, query
+        return min(excess_in_free_space(*pair, pose) for pose in (guess, nearest))
 
     def _is_unlikely(self, query: Submap, guess: Array, window: Window, closure: Closure) -> bool:
         """Return whether a closure is beyond three sigma of the guess, and the query fits there, too.

@@ -2,14 +2,15 @@
 
 A point on a surface of the other submap supports the alignment. One well inside the free space of the
 other's scans contradicts it. One that the other submap has not seen has no effect: counting it against
-would reject true places that were seen from another side.
+would reject true places that were seen from another side. Neither has a single point that scans of its own
+submap contradict: such things are often missed.
 """
 
 from __future__ import annotations
 
 import math
 from enum import IntEnum
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -88,21 +89,29 @@ def judge(support: Support, overlap: float = MIN_MATCHED) -> ClosureStrength:
     return ClosureStrength.REFUSED
 
 
+_Scans: TypeAlias = tuple[Array, Floats]
+"""The vantages (n, 3) of some scans, and their free ranges (n, `BEARINGS`)."""
+
+
 class _Evidence(NamedTuple):
     """Numbers of points that support or contradict an alignment.
 
     Attributes
     ----------
     matched, contradicted : of the query's points, those on surfaces and in free space of the reference
+    missed : of the query's points, those that its own scans often miss; they are not contradicted
     confirmed, refuted : of a sample of the reference's points, those that the query's scans see, and in
         their free space
+    lost : of that sample, those that the reference's own scans often miss; they are not refuted
     sample : size of that sample; `step` points of the reference for each
     """
 
     matched: int
     contradicted: int
+    missed: int
     confirmed: int
     refuted: int
+    lost: int
     sample: int
     step: int
 
@@ -124,6 +133,19 @@ def share_in_free_space(known: SurfaceMap, reference: Submap, query: Submap, pos
     return max(n.contradicted / max(len(query.features), 1), n.refuted / max(n.sample, 1))
 
 
+def excess_in_free_space(known: SurfaceMap, reference: Submap, query: Submap, pose: Array) -> float:
+    """Return by how much either submap contradicts the other more than itself, as a share of its points.
+
+    _Scans of either miss things such as chair legs. Some of these are missed by the other's scans only, but
+    no more than by those of its own submap, which has as many.
+    """
+    n = _evidence(known, reference, query, pose)
+    return max(
+        (n.contradicted - n.missed) / max(len(query.features), 1),
+        (n.refuted - n.lost) / max(n.sample, 1),
+    )
+
+
 def _evidence(known: SurfaceMap, reference: Submap, query: Submap, pose: Array) -> _Evidence:
     """Return the evidence for the query's pose (3,) in the reference, whose surface map is `known`."""
     reference_scans = _nearest_scans(reference, pose, REFERENCE_SCANS)
@@ -133,17 +155,18 @@ def _evidence(known: SurfaceMap, reference: Submap, query: Submap, pose: Array) 
     close = np.flatnonzero(x * x + y * y < POINT_RADIUS * POINT_RADIUS)
     near = np.ascontiguousarray(reference.features[close[:: max(1, len(close) // SAMPLE)]])
     step = max(1, len(close) // SAMPLE)
-    counts = np.zeros(4, np.int64)
+    counts = np.zeros(6, np.int64)
     _count_evidence(
         known,
         query.features,
         pose,
+        near,
         (reference_scans.vantages, reference_scans.free),
-        (near, query_scans.vantages, query_scans.free),
+        (query_scans.vantages, query_scans.free),
         counts,
     )
-    matched, contradicted, confirmed, refuted = (int(count) for count in counts)
-    return _Evidence(matched, contradicted, confirmed, refuted, len(near), step)
+    matched, contradicted, missed, confirmed, refuted, lost = (int(count) for count in counts)
+    return _Evidence(matched, contradicted, missed, confirmed, refuted, lost, len(near), step)
 
 
 def _nearest_scans(submap: Submap, position: Array, limit: int) -> Submap:
@@ -159,27 +182,44 @@ def _count_evidence(
     known: SurfaceMap,
     features: Features,
     pose: Array,
-    reference: tuple[Array, Floats],
-    query: tuple[Features, Array, Floats],
+    points: Features,
+    reference: _Scans,
+    query: _Scans,
     counts: Ints,
 ) -> None:
-    """Fill `counts` (4,): query points matched, contradicted; reference points confirmed, contradicted.
+    """Fill `counts` (6,) as in `_Evidence`.
 
-    `reference` are vantages and free ranges of the reference, `query` points of the reference with the
-    vantages, in its frame, and free ranges of the query.
+    `features` are the points of the query, `points` those of the reference; the scans of both are in the
+    frame of the reference.
     """
     moved = np.empty((len(features), 2))
     matched = np.empty(len(features), np.bool_)
     counts[0] = _match(known, features, pose, moved, matched)
     step = max(1, len(features) // SAMPLE)
     for i in range(0, len(features), step):
-        if not matched[i] and evidence_at(moved[i, 0], moved[i, 1], reference[0], reference[1]) < 0:
+        x, y = moved[i, 0], moved[i, 1]
+        if _is_often_missed(x, y, features[i], query):
+            counts[2] += step
+        elif not matched[i] and evidence_at(x, y, reference[0], reference[1]) < 0:
             counts[1] += step
-    points, vantages, free = query
     for i in range(len(points)):
-        evidence = evidence_at(points[i, 0], points[i, 1], vantages, free)
-        if evidence != 0:
-            counts[2 if evidence > 0 else 3] += 1
+        x, y = points[i, 0], points[i, 1]
+        evidence = evidence_at(x, y, query[0], query[1])
+        is_missed = _is_often_missed(x, y, points[i], reference)
+        counts[3] += evidence > 0
+        counts[4] += evidence < 0 and not is_missed
+        counts[5] += is_missed
+
+
+@kernel
+def _is_often_missed(x: float, y: float, feature: Floats, own: _Scans) -> bool:
+    """Return whether a point is on no surface, and in the free space of scans of its own submap.
+
+    Beams pass between chair legs, and people walk on. Other scans of the same place contradict such points,
+    too. Walls that contradict each other within a submap do count: the robot was carried meanwhile.
+    """
+    is_single = feature[2] == 0.0 and feature[3] == 0.0
+    return bool(is_single and evidence_at(x, y, own[0], own[1]) < 0)
 
 
 @kernel

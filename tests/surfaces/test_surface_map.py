@@ -19,10 +19,12 @@ from impslam.surfaces.surface_map import (
     add,
     align,
     clear,
+    closeness_of,
     empty_surface_map,
     no_evidence,
     normal_equations,
     solve_3x3,
+    surfel_of,
 )
 
 ROOM = room(-2.0, 3.0, -1.5, 2.2)
@@ -87,11 +89,12 @@ def test_each_point_finds_the_nearest_surfel_within_the_radius(rng):
     for row, column in rng.integers(0, 800, (2000, 2)):
         apart2 = ((cells - [column, row]) ** 2).sum(1)
         within = (np.abs(cells - [column, row]) <= 8).all(1) & (apart2 <= 64)
-        k = known.nearest[row, column] - 1
+        k = surfel_of(known.cells[row, column])
         assert (k >= 0) == within.any()
         if k >= 0:
             assert apart2[k] == apart2.min()
-            assert known.closeness[row, column] == 65 - apart2[k]
+            assert k == np.flatnonzero(within & (apart2 == apart2.min()))[0]  # the oldest
+            assert closeness_of(known.cells[row, column]) == 65 - apart2[k]
 
 
 @pytest.mark.parametrize("corner", [(-20.0, -20.0), (3.0, -40.0)])
@@ -101,8 +104,7 @@ def test_clear_leaves_no_trace(corner):
     assert known.size[0] > 100
     clear(known, np.array(corner))
     assert known.size[0] == 0
-    assert not known.nearest.any()
-    assert not known.closeness.any()
+    assert not known.cells.any()
     assert known.corner.tolist() == list(corner)
 
 
@@ -112,8 +114,7 @@ def test_a_map_used_again_is_as_good_as_new():
     clear(known, np.array([-20.0, -20.0]))
     add(known, scan, PLACE, 20.0)
     fresh = map_of((scan, PLACE))
-    np.testing.assert_array_equal(known.nearest, fresh.nearest)
-    np.testing.assert_array_equal(known.closeness, fresh.closeness)
+    np.testing.assert_array_equal(known.cells, fresh.cells)
     np.testing.assert_array_equal(surfels(known), surfels(fresh))
 
 
@@ -164,7 +165,7 @@ def pairs(known, scan, pose):
     """Return rows of (surfel, feature) as `normal_equations` pairs them, by brute force."""
     points = compose(pose, np.column_stack((scan[:, :2], np.zeros(len(scan)))).astype(float))
     cells = np.floor((points[:, :2] - known.corner) / CELL).astype(int)
-    found = known.nearest[cells[:, 1], cells[:, 0]] - 1
+    found = [surfel_of(cell) for cell in known.cells[cells[:, 1], cells[:, 0]]]
     return [
         (known.surfels[k], row.astype(float)) for k, row in zip(found, scan, strict=True) if k >= 0
     ]

@@ -282,7 +282,7 @@ def _widened_along_weakest_axis(closure: Closure, sigma: float) -> Closure:
 def _cleared(known: SurfaceMap, low: Array, high: Array, surfels: int) -> SurfaceMap:
     """Return an empty map from corner to corner (2,); reuse `known` if it is large enough."""
     extent = high - low
-    height, width = known.nearest.shape
+    height, width = known.cells.shape
     current = np.array([width, height]) * CELL
     if (extent > current).any() or surfels > len(known.surfels):
         x, y = np.ceil(np.maximum(extent, current) / 8.0) * 8.0

@@ -20,7 +20,7 @@ from impslam.geometry.se2 import compose
 from impslam.recognition.free_ranges import BEARINGS, Floats
 from impslam.recognition.submap import Submap
 from impslam.surfaces.features import Features
-from impslam.surfaces.surface_map import CELL, MIN_NORMAL_COSINE, SurfaceMap
+from impslam.surfaces.surface_map import CELL, MIN_NORMAL_COSINE, SurfaceMap, surfel_of
 from impslam.types import Array, Ints, Mask
 
 MATCH_DISTANCE = (
@@ -225,7 +225,7 @@ def _is_often_missed(x: float, y: float, feature: Floats, own: _Scans) -> bool:
 @kernel
 def _match(known: SurfaceMap, features: Features, pose: Array, moved: Array, matched: Mask) -> int:
     """Transform features (n,) by a pose, mark those on a surface of their direction; return the number."""
-    height, width = known.nearest.shape
+    height, width = known.cells.shape
     c, s = math.cos(pose[2]), math.sin(pose[2])
     count = 0
     for i in range(len(features)):
@@ -235,7 +235,7 @@ def _match(known: SurfaceMap, features: Features, pose: Array, moved: Array, mat
         u, v = (x - known.corner[0]) / CELL, (y - known.corner[1]) / CELL
         if u < 0.0 or v < 0.0 or u >= width or v >= height:
             continue
-        k = known.nearest[int(v), int(u)] - 1
+        k = surfel_of(known.cells[int(v), int(u)])
         if k < 0:
             continue
         surfel = known.surfels[k]

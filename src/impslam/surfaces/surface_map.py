@@ -27,6 +27,8 @@ LONE_WEIGHT, MIXED_WEIGHT = 0.2, 0.1
 """Weights of a point if neither it nor its surfel is on a surface, or only one of them."""
 _X, _Y, _NX, _NY, _COUNT, _WEIGHT, _X0, _Y0 = range(8)
 _INSIDE, _INLIERS, _SQUARES, _WEIGHTS = range(4)
+_BITS = 24  # of a cell's value, for the surfel
+_LAST = 2**_BITS - 1  # largest number of a surfel
 
 
 class SurfaceMap(NamedTuple):
@@ -34,16 +36,16 @@ class SurfaceMap(NamedTuple):
 
     Attributes
     ----------
-    nearest : (h, w) int32, 1 + the index of the nearest surfel; 0 if none is within `RADIUS`
-    closeness : (h, w) uint8, `RADIUS**2 + 1` minus the squared distance to that surfel's cell, in cells
+    cells : (h, w) int32, the nearest surfel and its closeness, see `surfel_of` and `closeness_of`; 0 if
+        none is within `RADIUS`. One number holds both, so that a look-up reads memory once, and the larger
+        of two is that of the nearer surfel, or of the older one at the same distance.
     surfels : (n, 8) x, y of the mean point, normal, number of points, weight of the normal, and its
         first point
     size : (1,) number of surfels
     corner : (2,) m, the lower left corner of the grid
     """
 
-    nearest: np.ndarray[tuple[int, ...], np.dtype[np.int32]]
-    closeness: np.ndarray[tuple[int, ...], np.dtype[np.uint8]]
+    cells: np.ndarray[tuple[int, ...], np.dtype[np.int32]]
     surfels: Array
     size: Ints
     corner: Array
@@ -94,28 +96,37 @@ def empty_surface_map(width: float, height: float, surfels: int) -> SurfaceMap:
     shape = math.ceil(height / CELL), math.ceil(width / CELL)
     return SurfaceMap(
         zero_pages(shape, np.int32),
-        zero_pages(shape, np.uint8),
-        zero_pages((surfels, 8), np.float64),
+        zero_pages((min(surfels, _LAST + 1), 8), np.float64),
         np.zeros(1, np.int64),
         np.array([-0.5 * width, -0.5 * height]),
     )
 
 
 @kernel
+def surfel_of(cell: int) -> int:
+    """Return the index of the surfel nearest to a cell with this value, -1 if there is none."""
+    return _LAST - (cell & _LAST) if cell > 0 else -1
+
+
+@kernel
+def closeness_of(cell: int) -> int:
+    """Return `RADIUS**2 + 1` minus the squared distance to that surfel, in cells; 0 if there is none."""
+    return cell >> _BITS
+
+
+@kernel
 def clear(surface_map: SurfaceMap, corner: Array) -> None:
     """Remove all surfels, and move the grid's corner (2,) m."""
-    height, width = surface_map.nearest.shape
+    height, width = surface_map.cells.shape
     one_by_one = surface_map.size[0] * (2 * RADIUS + 1) ** 2 < height * width
     if not one_by_one:
-        surface_map.nearest[:] = 0
-        surface_map.closeness[:] = 0
+        surface_map.cells[:] = 0
     for k in range(surface_map.size[0] if one_by_one else 0):
         column = int((surface_map.surfels[k, _X0] - surface_map.corner[0]) / CELL)
         row = int((surface_map.surfels[k, _Y0] - surface_map.corner[1]) / CELL)
         left, right = max(0, column - RADIUS), min(width, column + RADIUS + 1)
         for r in range(max(0, row - RADIUS), min(height, row + RADIUS + 1)):
-            surface_map.nearest[r, left:right] = 0
-            surface_map.closeness[r, left:right] = 0
+            surface_map.cells[r, left:right] = 0
     surface_map.size[0] = 0
     surface_map.corner[:] = corner
 
@@ -127,7 +138,7 @@ def add(surface_map: SurfaceMap, features: Features, pose: Array, max_points: fl
     A surfel averages over at most `max_points` points, so that it adapts to changes. Features outside the
     grid are left out.
     """
-    height, width = surface_map.nearest.shape
+    height, width = surface_map.cells.shape
     c, s = math.cos(pose[2]), math.sin(pose[2])
     for i in range(len(features)):
         x = pose[0] + c * features[i, 0] - s * features[i, 1]
@@ -140,9 +151,10 @@ def add(surface_map: SurfaceMap, features: Features, pose: Array, max_points: fl
         nx = c * features[i, 2] - s * features[i, 3]
         ny = s * features[i, 2] + c * features[i, 3]
         weight = float(features[i, 4])
-        if surface_map.closeness[row, column] == RADIUS * RADIUS + 1:
+        cell = surface_map.cells[row, column]
+        if closeness_of(cell) == RADIUS * RADIUS + 1:
             _average(
-                surface_map.surfels[surface_map.nearest[row, column] - 1],
+                surface_map.surfels[surfel_of(cell)],
                 x,
                 y,
                 nx,
@@ -154,19 +166,28 @@ def add(surface_map: SurfaceMap, features: Features, pose: Array, max_points: fl
             surfel = surface_map.surfels[surface_map.size[0]]
             surfel[_X], surfel[_Y], surfel[_NX], surfel[_NY] = x, y, nx, ny
             surfel[_COUNT], surfel[_WEIGHT], surfel[_X0], surfel[_Y0] = 1.0, weight, x, y
-            surface_map.size[0] += 1
             _claim_cells(surface_map, row, column)
+            surface_map.size[0] += 1
+
+
+def _claims() -> np.ndarray[tuple[int, ...], np.dtype[np.int32]]:
+    """Return the values (17, 17) of the cells around surfel `_LAST`; negative beyond `RADIUS`."""
+    offsets = np.arange(-RADIUS, RADIUS + 1)
+    closeness = RADIUS**2 + 1 - offsets[:, None] ** 2 - offsets**2
+    return np.where(closeness > 0, closeness << _BITS, -(_LAST + 1)).astype(np.int32)
+
+
+_CLAIMS = _claims()
 
 
 @kernel
 def _claim_cells(surface_map: SurfaceMap, row: int, column: int) -> None:
-    """Make the newest surfel the nearest one of the cells around it without a nearer one."""
-    for dr in range(-RADIUS, RADIUS + 1):
-        for dc in range(-RADIUS, RADIUS + 1):
-            close = RADIUS * RADIUS + 1 - dr * dr - dc * dc
-            if close > surface_map.closeness[row + dr, column + dc]:
-                surface_map.closeness[row + dr, column + dc] = close
-                surface_map.nearest[row + dr, column + dc] = surface_map.size[0]
+    """Make the next surfel the nearest one of the cells around it without a nearer one."""
+    surfel = _LAST - surface_map.size[0]
+    for r in range(2 * RADIUS + 1):
+        cells, claims = surface_map.cells[row + r - RADIUS, column - RADIUS :], _CLAIMS[r]
+        for c in range(2 * RADIUS + 1):
+            cells[c] = max(cells[c], claims[c] + surfel)
 
 
 @kernel
@@ -196,10 +217,10 @@ def normal_equations(
     surface_map: SurfaceMap, features: Features, pose: Array, scale: float, step: int, out: FitSums
 ) -> None:
     """Fill `out` with the evidence of every `step`-th feature for a pose (3,), with kernel `scale` m."""
-    height, width = surface_map.nearest.shape
+    height, width = surface_map.cells.shape
     c, s = math.cos(pose[2]), math.sin(pose[2])
     radius = min(float(RADIUS), max(3.0 * scale / CELL, 2.0))
-    min_closeness = RADIUS * RADIUS + 1 - radius * radius
+    min_cell = math.ceil(RADIUS * RADIUS + 1 - radius * radius) << _BITS
     # Sums in tuples stay in registers; in arrays, every point would wait for the previous one.
     sums = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     inside = inliers = squares = weights = 0.0
@@ -211,10 +232,10 @@ def normal_equations(
         if not (0.0 <= u < width and 0.0 <= v < height):  # also if the pose is not finite
             continue
         inside += 1.0
-        k = surface_map.nearest[int(v), int(u)] - 1
-        if k < 0 or surface_map.closeness[int(v), int(u)] < min_closeness:
+        cell = surface_map.cells[int(v), int(u)]
+        if cell < min_cell:
             continue
-        surfel, weight = surface_map.surfels[k], float(features[i, 4])
+        surfel, weight = surface_map.surfels[surfel_of(cell)], float(features[i, 4])
         ex, ey = x - surfel[_X], y - surfel[_Y]
         if surfel[_WEIGHT] > 0.0 and weight > 0.0:
             nx, ny = surfel[_NX], surfel[_NY]

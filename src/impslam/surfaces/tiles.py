@@ -37,8 +37,7 @@ _SIZE = CELLS + 2 * MARGIN
 class Tiles(NamedTuple):
     """A pool of t tiles; see `SurfaceMap` for the fields."""
 
-    nearest: np.ndarray[tuple[int, ...], np.dtype[np.int32]]
-    closeness: np.ndarray[tuple[int, ...], np.dtype[np.uint8]]
+    cells: np.ndarray[tuple[int, ...], np.dtype[np.int32]]
     surfels: Array
     size: Ints
     corner: Array
@@ -48,7 +47,6 @@ def empty_tiles(count: int) -> Tiles:
     """Return a pool of empty tiles; memory is only used once they are written."""
     return Tiles(
         zero_pages((count, _SIZE, _SIZE), np.int32),
-        zero_pages((count, _SIZE, _SIZE), np.uint8),
         zero_pages((count, SURFELS, 8), np.float64),
         np.zeros(count, np.int64),
         np.zeros((count, 2)),
@@ -58,9 +56,7 @@ def empty_tiles(count: int) -> Tiles:
 @kernel
 def tile(pool: Tiles, k: int) -> SurfaceMap:
     """Return a tile as a map that shares its memory."""
-    return SurfaceMap(
-        pool.nearest[k], pool.closeness[k], pool.surfels[k], pool.size[k : k + 1], pool.corner[k]
-    )
+    return SurfaceMap(pool.cells[k], pool.surfels[k], pool.size[k : k + 1], pool.corner[k])
 
 
 @kernel
@@ -74,8 +70,7 @@ def begin(pool: Tiles, k: int, column: int, row: int) -> None:
 @kernel
 def copy(source: Tiles, k: int, pool: Tiles, target: int) -> None:
     """Copy tile k of `source` to tile `target` of `pool`, which may be the same."""
-    pool.nearest[target] = source.nearest[k]
-    pool.closeness[target] = source.closeness[k]
+    pool.cells[target] = source.cells[k]
     pool.surfels[target, : source.size[k]] = source.surfels[k, : source.size[k]]
     pool.size[target] = source.size[k]
     pool.corner[target] = source.corner[k]

@@ -59,7 +59,7 @@ def is_empty(submaps: Submaps) -> bool:
 @kernel
 def extend(submaps: Submaps, features: Features, pose: Array, length: float) -> None:
     """Add a scan taken at a pose (3,); a map lasts for `length` m."""
-    half = 0.5 * CELL * submaps.first.nearest.shape[0]
+    half = 0.5 * CELL * submaps.first.cells.shape[0]
     age = submaps.travelled[0] - submaps.travelled[2 - submaps.older[0]]  # of the newer one
     if is_empty(submaps) or age >= length:  # after a long drive without scans both are out of view
         clear(submaps.first, pose[:2] - half)

@@ -8,8 +8,10 @@ from tests.tracking.test_contradictions import ANGLES, GEOMETRY, WORLD, scan_at
 
 from impslam.columns import Motions, Scans
 from impslam.geometry.se2 import between
-from impslam.tracking.jump import MAX_INTERVAL, JumpCheck
+from impslam.tracking.contradictions import CLEARANCE, free_ranges
+from impslam.tracking.jump import MAX_INTERVAL, JumpCheck, _is_not_free, _view
 from impslam.tracking.odometry import OdometryTracker
+from impslam.tracking.reference_scan import laser_motion, seen_from
 from impslam.types import Increment
 
 STEP = 0.03
@@ -153,3 +155,23 @@ def test_the_keyframe_of_a_carried_robot_restarts_the_gate(monkeypatch):
     monkeypatch.setattr(JumpCheck, "find", lambda *_: (np.zeros(m), np.arange(m) == 6))
     out = steps(OdometryTracker(), increments, scans, limits=(0.11, np.inf, np.inf))
     assert np.flatnonzero(out.is_keyframe).tolist() == [4, 6, 10, 14]
+
+
+def test_the_fast_test_leaves_out_many_points_and_none_in_free_space(rng):
+    left_out = tested = inside = 0
+    for _ in range(60):
+        first, second = np.array([-1.0, 0.0, 0.3]) + rng.normal(0.0, 0.04, (2, 3))
+        scans = np.array([scan_at(first, WORLD), scan_at(second, WORLD)])
+        lost = ~np.isfinite(scans) | (rng.random(scans.shape) < 0.05)
+        scans[1] += rng.uniform(0.0, 0.5)  # around the clearance
+        ranges, other = np.where(lost, 0.0, scans)
+        motion = laser_motion(second, first, GEOMETRY)
+        free, view = free_ranges(other, GEOMETRY), _view(motion, GEOMETRY)
+        for i in np.flatnonzero(ranges).tolist():
+            k, reach = seen_from(i, ranges[i], motion, len(ranges), GEOMETRY)
+            is_free = k >= 0 and reach < free[k] - CLEARANCE
+            fast = _is_not_free(i, ranges[i], other, view)
+            assert not (fast and is_free)
+            left_out, tested, inside = left_out + fast, tested + 1, inside + is_free
+    assert left_out > 0.2 * tested
+    assert inside > 0.2 * tested

@@ -16,7 +16,7 @@ import numpy as np
 from impslam.columns import Motions, Scans
 from impslam.geometry.chain import advance_pose
 from impslam.geometry.kernels import kernel, plain
-from impslam.tracking.contradictions import CLEARANCE, free_ranges
+from impslam.tracking.contradictions import CLEARANCE, TURN_CLEARANCE, free_ranges
 from impslam.tracking.per_lidar import PerLidar
 from impslam.tracking.reference_scan import Geometry, geometry_of, laser_motion, seen_from
 from impslam.types import Array, Ints, Mask
@@ -180,15 +180,18 @@ def _changed(
     still, scan, beside = still % MAX_SCANS, scan % MAX_SCANS, beside % MAX_SCANS
     if abs(past.times[scan] - past.times[beside]) > MAX_INTERVAL:
         return 0.0, 0.0
-    ranges, free = past.ranges[scan], past.free[beside]
+    ranges, opposite, free = past.ranges[scan], past.ranges[beside], past.free[beside]
     to_still = laser_motion(past.poses[still], past.poses[scan], geometry)
     to_beside = laser_motion(past.poses[beside], past.poses[scan], geometry)
+    view = _view(to_beside, geometry)
     changed = count = 0
     low, high = np.full(2, math.inf), np.full(2, -math.inf)
     for i in range(len(ranges)):
         if ranges[i] <= 0.0:
             continue
         count += 1
+        if _is_not_free(i, ranges[i], opposite, view):  # nearly always, and much faster
+            continue
         k, reach = seen_from(i, ranges[i], to_beside, len(ranges), geometry)
         if k >= 0 and reach < free[k] - CLEARANCE:
             k, reach = seen_from(i, ranges[i], to_still, len(ranges), geometry)
@@ -202,6 +205,36 @@ def _changed(
     if changed < MIN_BEAMS or share <= MIN_SHARE:
         return 0.0, 0.0
     return share, math.hypot(high[0] - low[0], high[1] - low[1])
+
+
+@kernel
+def _view(T_other_laser: Array, geometry: Geometry) -> tuple[float, int, int, float]:
+    """Return how a scan is seen from the pose of another one, for `_is_not_free`.
+
+    The values are the distance between the lasers, m; the difference between beams of the same direction;
+    the number of beams in `TURN_CLEARANCE`; and the range, m, beyond which the distance turns the direction
+    of a point by less than that.
+    """
+    moved, spacing = math.hypot(T_other_laser[0], T_other_laser[1]), abs(geometry.spacing)
+    if not 0.0 < spacing < TURN_CLEARANCE:
+        return moved, 0, 0, math.inf
+    shift = math.floor(T_other_laser[2] / geometry.spacing + 0.5)
+    nearest = moved / math.sin(TURN_CLEARANCE - spacing)  # one beam less: two numbers are rounded
+    return moved, shift, math.ceil(TURN_CLEARANCE / spacing), nearest
+
+
+@kernel
+def _is_not_free(i: int, reach: float, other: Array, view: tuple[float, int, int, float]) -> bool:
+    """Return True if the end of beam i is certainly not in the free space of another scan.
+
+    The beam of the same direction in the other scan, with ranges (n,), bounds its `free_ranges` at the beam
+    that points there, which is within `TURN_CLEARANCE` of it.
+    """
+    moved, shift, width, nearest = view
+    k = i + shift
+    if reach <= nearest or k < width or k >= len(other) - width:
+        return False
+    return bool(reach - moved >= other[k] - CLEARANCE)
 
 
 @kernel

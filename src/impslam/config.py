@@ -28,9 +28,12 @@ from impslam.component import (
 )
 from impslam.errors import ConfigError
 from impslam.estimators.base import Estimator
+from impslam.filters.base import Filter
 from impslam.landmarks.base import LandmarkModel
 from impslam.map import Map
 from impslam.maps.grid import MAX_RESOLUTION, MIN_RESOLUTION
+from impslam.noise import SystematicErrors
+from impslam.odometry.base import Odometry
 from impslam.parameters import Parameters
 from impslam.paths import is_file
 from impslam.robot import Robot
@@ -75,10 +78,12 @@ class Config(Parameters):
 
     def make_robot(self) -> Robot:
         """Return the robot with fresh sensors."""
+        odometry, systematic = self._split_odometry()
         return Robot(
             self.robot,
-            build("odometry", self.odometry),
+            odometry,
             {name: build("sensor", t, f"sensors.{name}") for name, t in self.sensors.items()},
+            systematic,
         )
 
     def make_tracker(self) -> Tracker:
@@ -86,6 +91,18 @@ class Config(Parameters):
         tracker: Tracker = build("tracker", self.tracker)
         tracker.start(np.array(self.start), self.make_gate())
         return tracker
+
+    def _split_odometry(self) -> tuple[Odometry, SystematicErrors | None]:
+        """Return odometry, without the systematic errors if the filter considers them, and these.
+
+        They need motions by odometry alone: scans that are matched correct most of the errors.
+        """
+        odometry: Odometry = build("odometry", self.odometry)
+        estimator: Estimator = build("estimator", self.estimator)
+        belief: Filter = build("filter", self.filter)
+        tracker: Tracker = build("tracker", self.tracker)
+        considered = estimator.considers_systematic_errors and belief.considers_shared_errors
+        return odometry.split() if considered and not tracker.matches_scans else (odometry, None)
 
     def make_gate(self) -> KeyframeGate:
         """Return which scans are keyframes."""

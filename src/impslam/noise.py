@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from typing import NamedTuple
+
 import numpy as np
 
 from impslam.parameters import Parameters, parameter
@@ -12,6 +15,37 @@ UNKNOWN = 1e6
 
 MAX_GAP = 3.0
 """s between two readings or two sweeps; after a longer gap the robot's path is unknown."""
+
+
+class SystematicErrors(NamedTuple):
+    """Standard deviations of constant errors of odometry's turns (Borenstein & Feng 1996).
+
+    Attributes
+    ----------
+    turn_per_distance : rad/m, wheels of unequal radius
+    turn : relative, a wrong track
+    """
+
+    turn_per_distance: float
+    turn: float
+
+    def errors(self, d_pose: Array) -> Array:
+        """Return the errors (..., 3, 2) of motions (..., 3), one column per standard deviation of each.
+
+        For arcs, to first order in the turn: an error of the turn acts, on average, halfway.
+        """
+        x, y, turn = np.moveaxis(d_pose, -1, 0)
+        by_motion = np.stack([-0.5 * y, 0.5 * x, np.ones_like(x)], -1)
+        of_turn = np.stack([self.turn_per_distance * x, self.turn * turn], -1)
+        return np.asarray(by_motion[..., :, None] * of_turn[..., None, :])
+
+    def turn_variances(self, d_pose: Array) -> Array:
+        """Return the variances (...) of turns in motions (..., 3), if the errors were drawn anew.
+
+        They are the same as those of the constant errors at 1 m or 1 rad.
+        """
+        distance, turn = np.hypot(d_pose[..., 0], d_pose[..., 1]), np.abs(d_pose[..., 2])
+        return np.asarray(self.turn_per_distance**2 * distance + self.turn**2 * turn)
 
 
 class MotionNoise(Parameters):
@@ -34,6 +68,24 @@ class MotionNoise(Parameters):
     turn_per_turn: float = parameter(
         0.15, "rad/sqrt(rad)", "heading error of turning (slip), per root radian", ge=0, noise=True
     )
+
+    systematic: float = parameter(
+        0.0,
+        "1",
+        "share of the turns' variances that is due to constant errors, as of the track. Filters that can "
+        "consider them (Schmidt) then do not treat them as drawn anew: the standard deviation grows with "
+        "the motion instead of its root, and is the same at 1 m or 1 rad",
+        ge=0,
+        le=1,
+    )
+
+    def split(self) -> tuple[MotionNoise, SystematicErrors]:
+        """Return the noise without systematic errors, and these."""
+        rest, factor = math.sqrt(1.0 - self.systematic), math.sqrt(self.systematic)
+        turning = {"turn_per_distance": self.turn_per_distance, "turn_per_turn": self.turn_per_turn}
+        update = {name: rest * sigma for name, sigma in turning.items()} | {"systematic": 0.0}
+        errors = SystematicErrors(factor * self.turn_per_distance, factor * self.turn_per_turn)
+        return self.model_copy(update=update), errors
 
     def variances(self, distances: Array, angles: Array) -> Array:
         """Return variances (m, 3) along, across and of the heading for motions over (m,) m and (m,) rad."""

@@ -10,13 +10,14 @@ batches does not change the result: see `impslam.odometry.synchroniser`.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from impslam.columns import Batch, Columns, Motions, Sweeps
 from impslam.holding import Holding
+from impslam.noise import SystematicErrors
 from impslam.odometry.base import Odometry, diagonal
 from impslam.odometry.clocks import BY_ORDER, Placed
 from impslam.odometry.gyro import GyroFusion
@@ -43,8 +44,16 @@ class Robot:
     problems : count and first example of each kind of problem
     """
 
-    def __init__(self, name: str, odometry: Odometry, sensors: Mapping[str, Sensor]) -> None:
+    def __init__(
+        self,
+        name: str,
+        odometry: Odometry,
+        sensors: Mapping[str, Sensor],
+        systematic: SystematicErrors | None = None,
+    ) -> None:
+        """`systematic` are errors of odometry that its covariances do not contain."""
         self.name, self.odometry, self.sensors = name, odometry, sensors
+        self._systematic = systematic
         self.counts: dict[str, int] = {}
         self.problems = Problems()
         fuses = odometry.gyro.use and odometry.measures_motion
@@ -53,6 +62,7 @@ class Robot:
             {n: Reader(f"sensors.{n}", s.consumes, s.stream) for n, s in sensors.items()},
             Reader("odometry.gyro", Imu, odometry.gyro.stream) if fuses else None,
         )
+        self._gyro_since = END  # position in the log
         self._gyro = GyroFusion(odometry.gyro, odometry.lever, odometry.standstill_band.angle)
         self._odometry_stream, self._synchroniser = OdometryStream(odometry), Synchroniser()
         self._queue, self._clocks = PendingQueue(), StreamClocks()
@@ -129,6 +139,14 @@ class Robot:
         """Whether turns are measured by a gyro instead of the wheels."""
         return self.streams.gyro is not None and self._gyro.trusted
 
+    def systematic(self, sweeps: Sweeps) -> Sequence[SystematicErrors | None]:
+        """Return, for each sweep, the errors of odometry that the covariances do not contain.
+
+        None from the first reading of a gyro on: it corrects the turns, and needs their whole variances.
+        """
+        before = sweeps.columns.order < self._gyro_since
+        return [self._systematic if wheels_alone else None for wheels_alone in before.tolist()]
+
     @property
     def elapsed(self) -> float:
         """Duration of the log so far in s, corrected for clocks that were set; NaN if unknown."""
@@ -157,6 +175,13 @@ class Robot:
     ) -> Motions:
         """Return the motions with turns corrected by the gyro; record wheel slip."""
         stamps = np.empty(0) if turns is None else placed[turns.stream].times
+        if turns is not None and len(turns):
+            self._gyro_since = min(self._gyro_since, int(turns.order[0]))
+        if self._systematic is not None:
+            covariance, since = motions.covariance.copy(), order > self._gyro_since
+            variances = self._systematic.turn_variances(motions.d_pose[since])
+            covariance[since, 2, 2] += variances
+            motions = motions._replace(covariance=covariance)
         motions, apart = self._gyro.correct(order, motions, turns, stamps)
         for found in apart:
             text = (

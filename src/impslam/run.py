@@ -185,7 +185,8 @@ class Run:
     def _track(self, sensed: Iterable[tuple[Motions, Sweeps]]) -> None:
         with self._threads:
             for motions, sweeps in sensed:
-                for tracked in self.clock.each("track", self.tracker.follow(motions, sweeps)):
+                tracks = self.tracker.follow(motions, sweeps, self.robot.systematic(sweeps))
+                for tracked in self.clock.each("track", tracks):
                     track = self._continuation.new_part(tracked)
                     if track is None:
                         continue

@@ -255,18 +255,43 @@ Message: TypeAlias = Stamped
 # --------------------------------------------------------------------------- estimation
 
 
+class SystematicPart(NamedTuple):
+    """The systematic errors of a motion by odometry.
+
+    Attributes
+    ----------
+    errors : (3, k) error of `d_pose`, one column per standard deviation of each of k constant errors
+    replaced : (3, 3) the part of the motion's covariance that stands for them in filters that take all
+        errors as random
+    """
+
+    errors: Array
+    replaced: Array
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Increment:
     """Motion of base_link since the previous increment, relative to its pose at the start.
 
     `d_pose` (3,) is `T_before_after`; `covariance` (3, 3) is that of its additive error;
-    `duration` >= 0 is in seconds and `stamp` is the time at its end.
+    `duration` >= 0 is in seconds and `stamp` is the time at its end. `systematic` describes the part of
+    the error that is the same over the whole drive, for filters that consider it.
     """
 
     stamp: float
     d_pose: Array
     covariance: Array
     duration: float = 0.0
+    systematic: SystematicPart | None = None
+
+    @property
+    def random(self) -> Array:
+        """Covariance (3, 3) of the error without the systematic part."""
+        return (
+            self.covariance
+            if self.systematic is None
+            else self.covariance - self.systematic.replaced
+        )
 
     @staticmethod
     def none(stamp: float) -> Increment:

@@ -40,6 +40,8 @@ class Estimator(Component):
     """Estimates the poses of keyframes and a map of landmarks, one keyframe at a time."""
 
     role: ClassVar[str] = "estimator"
+    considers_systematic_errors: ClassVar[bool] = False
+    """Whether it passes `Increment.systematic` to its filter."""
     parts: ClassVar[tuple[str, ...]] = ()
     """Roles of the components that it uses; `start` receives one of each."""
     can_continue: ClassVar[bool] = False

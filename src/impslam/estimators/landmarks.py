@@ -33,6 +33,7 @@ class Landmarks(Estimator):
 
     parts: ClassVar[tuple[str, ...]] = ("filter", "association", "lifecycle")
     takes_unique: ClassVar[bool] = True
+    considers_systematic_errors: ClassVar[bool] = True
 
     scale_sigma: float = parameter(
         0.0,

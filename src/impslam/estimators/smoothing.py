@@ -32,6 +32,7 @@ class Smoothing(Landmarks):
     """The whole path and all landmarks as one graph, by iSAM2; needs the extra `graph`."""
 
     takes_unique: ClassVar[bool] = False
+    considers_systematic_errors: ClassVar[bool] = False
     library: ClassVar[str] = "gtsam"
 
     relinearise: float = parameter(

@@ -43,7 +43,10 @@ class Filter(Component):
     follows: ClassVar[bool] = False
     """Whether its mean can be set to that of another estimate; see `follow`."""
     considers_shared_errors: ClassVar[bool] = False
-    """Whether `Observation.shared` is one constant error of its sensor, or independent each time."""
+    """Whether `Observation.shared` is one constant error of its sensor, or independent each time.
+
+    The same for `Increment.systematic`, which is replaced by random errors otherwise.
+    """
 
     def fresh(self) -> Self:
         """Return a new filter with these parameters, not started."""

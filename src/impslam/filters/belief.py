@@ -196,6 +196,12 @@ class GaussianBelief:
         """Compose the pose with a motion (3,) of covariance (3, 3), to first order."""
         _drive(self.mean, self.P, self.n, plain(d_pose), plain(covariance))
 
+    def shift(self, errors: Ints, S: Array) -> None:
+        """Add S e to the pose's error, S (3, k), for the common errors e at indices (k,)."""
+        C = S @ rows_of(self.P, errors, self.n)
+        self.P[POSE : self.n, :POSE] += C[:, POSE:].T
+        self.P[:POSE, :POSE] += np.tril(C[:, :POSE] + C[:, :POSE].T + S @ S.T)
+
     def pose_entries(self) -> tuple[Array, Array]:
         """Return copies of what `move` changes: the pose (3,) and P's first columns (n, 3)."""
         return self.mean[:POSE].copy(), self.P[: self.n, :POSE].copy(order="F")

@@ -28,8 +28,11 @@ from impslam.filters.scoring import angle_mask, score
 from impslam.filters.update import among, gain, innovation_covariance, put_sight, solve
 from impslam.geometry.angles import wrap
 from impslam.geometry.kernels import plain
+from impslam.geometry.se2 import rotation
 from impslam.landmarks.base import Initial, LandmarkModel, Prediction
 from impslam.types import Array, Increment, Innovation, Ints, Match, Observation
+
+_NONE: Ints = np.empty(0, np.int64)
 
 
 @register("ekf")
@@ -65,8 +68,28 @@ class Ekf(GaussianFilter):
 
     def predict(self, increment: Increment) -> None:
         """Predict the pose: x' = x (+) u, P' = F P F^T + V Q V^T (thesis Eq. 2.23-2.26)."""
+        heading, errors = float(self._belief.mean[2]), self._systematic(increment)
         self._before = self._belief.pose_entries()
-        self._belief.drive(increment.d_pose, increment.covariance)
+        self._belief.drive(increment.d_pose, self._noise(increment))
+        self._add_systematic(increment, heading, errors)
+
+    def _noise(self, increment: Increment) -> Array:
+        """Return the covariance (3, 3) of the error that is drawn anew."""
+        return increment.random if self.considers_shared_errors else increment.covariance
+
+    def _systematic(self, increment: Increment) -> Ints:
+        """Return the indices (k,) of the systematic errors in the state; new ones are added."""
+        if increment.systematic is None or not self.considers_shared_errors:
+            return _NONE
+        count = increment.systematic.errors.shape[1]
+        return np.array([self._belief.error(f"odometry {k}") for k in range(count)])
+
+    def _add_systematic(self, increment: Increment, heading: float, errors: Ints) -> None:
+        """Add the systematic errors of a motion from a heading to the error of the pose."""
+        if len(errors) and increment.systematic is not None:
+            S = increment.systematic.errors.copy()
+            S[:2] = rotation(heading) @ S[:2]
+            self._belief.shift(errors, S)
 
     def undo_predict(self) -> None:
         """Undo the last prediction; see `Filter.undo_predict`."""

@@ -48,13 +48,17 @@ class FirstEstimatesEkf(Ekf):
 
     def predict(self, increment: Increment) -> None:
         """Move the robot, with F = d(pose')/d(pose) between the predicted poses."""
-        belief, before, predicted = self._belief, self.pose, self._first[:POSE]
+        belief, before = self._belief, self.pose
+        errors = self._systematic(increment)
+        self._first = np.append(self._first, belief.mean[len(self._first) : belief.n])
+        predicted = self._first[:POSE]
         self._before, self._first_before = belief.pose_entries(), predicted.copy()
         after = compose(before, increment.d_pose)
         V = np.eye(POSE)
         V[:2, :2] = rotation(before[2])
-        noise = V @ increment.covariance @ V.T
+        noise = V @ self._noise(increment) @ V.T
         belief.move(predicted[1] - after[1], after[0] - predicted[0], noise)
+        self._add_systematic(increment, float(before[2]), errors)
         belief.mean[:POSE] = self._first[:POSE] = after
 
     def undo_predict(self) -> None:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import numpy as np
 
 from impslam.columns import Columns, Motions
 from impslam.component import Component, parameter
-from impslam.noise import MAX_GAP
+from impslam.noise import MAX_GAP, MotionNoise, SystematicErrors
 from impslam.odometry.gyro import Gyro
 from impslam.odometry.standstill import Band
 from impslam.types import Array, Mask
@@ -36,6 +36,14 @@ class Odometry(Component):
         "", "", "the stream that it reads; empty: the first one of its kind in the log"
     )
     gyro: Gyro = parameter(Gyro(), "", "the gyro that corrects its turns")
+
+    def split(self) -> tuple[Self, SystematicErrors | None]:
+        """Return this odometry without systematic errors in its covariances, and these if it has any."""
+        for name, noise in self:
+            if isinstance(noise, MotionNoise) and noise.systematic > 0.0:
+                rest, systematic = noise.split()
+                return self.model_copy(update={name: rest}), systematic
+        return self, None
 
     def readings(self, rows: Columns) -> Columns:
         """Return the columns that odometry needs of the rows of its stream."""

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -19,10 +19,11 @@ from impslam.geometry.chain import advance, advance_pose
 from impslam.geometry.kernels import kernel
 from impslam.health import CARRIED, ELSEWHERE, OPPOSED, SLIPPED, STALLED, Reasons
 from impslam.map import Keyframe, Track
+from impslam.noise import SystematicErrors
 from impslam.parameters import Parameters
 from impslam.sources.base import Problems
 from impslam.tracking.screening import Screening
-from impslam.types import Array, Increment, Mask
+from impslam.types import Array, Increment, Mask, SystematicPart
 
 _CONTRADICTED = (
     "the scan at {:.3f} s shows another motion than odometry; the pose follows the scans: check "
@@ -119,6 +120,7 @@ class Tracker(Component):
     _motion_since_keyframe: tuple[Array, Array] = PrivateAttr()
     _reference: tuple[Array, Array] = PrivateAttr()
     _odometry: Array = PrivateAttr()
+    _systematic: Sequence[SystematicErrors | None] = PrivateAttr(())
     _travelled: dict[str, Array] = PrivateAttr(default_factory=dict)
     _screening: Screening = PrivateAttr(default_factory=Screening)
     _duration: float = PrivateAttr(0.0)
@@ -159,11 +161,18 @@ class Tracker(Component):
         `motions` are by odometry, from the middle of the previous sweep to the middle of each.
         """
 
-    def follow(self, motions: Motions, sweeps: Sweeps) -> Iterator[Track]:
+    def follow(
+        self,
+        motions: Motions,
+        sweeps: Sweeps,
+        systematic: Sequence[SystematicErrors | None] = (),
+    ) -> Iterator[Track]:
         """Yield the tracks of these sweeps; a track cut at the end of the batch continues in the next one.
 
-        `motions` are by odometry, from the middle of the previous sweep to the middle of each.
+        `motions` are by odometry, from the middle of the previous sweep to the middle of each; their
+        covariances do not contain the `systematic` errors of each.
         """
+        self._systematic = systematic or [None] * len(sweeps)
         travelled = self._travelled.setdefault(sweeps.sensor, np.full(3, math.inf))
         sweeps, wrong, amounts = self._screening.screen(motions, sweeps, self._problems)
         steps = self.steps(motions, sweeps, Gate(self._limits, travelled))
@@ -208,6 +217,10 @@ class Tracker(Component):
             sweeps.T_middle_stamp[rows.start : stop],
             sweeps.stamp_covariance[rows.start : stop],
         )
+        for k, systematic in enumerate(self._systematic[rows]):
+            if systematic is not None:
+                errors = systematic.errors(T_stamp[k])
+                spread_stamp[k] += errors @ errors.T
         self._duration += float(motions.duration[rows.start : stop].sum())
         m, keyframe = rows.stop - rows.start, None
         if has_keyframe:
@@ -235,11 +248,17 @@ class Tracker(Component):
     def _keyframe(self, tracked: _Tracked, row: int, d_pose: Array, covariance: Array) -> Keyframe:
         """Return the keyframe in a row, with the motion from the previous keyframe."""
         motions, steps, sweeps, odometry = tracked
-        stamp, reason = float(motions.stamps[row]), int(steps.reasons[row])
+        stamp, reason, part = float(motions.stamps[row]), int(steps.reasons[row]), None
+        systematic = self._systematic[row]
+        if systematic is not None:
+            replaced = np.zeros((3, 3))
+            replaced[2, 2] = systematic.turn_variances(d_pose)
+            part = SystematicPart(systematic.errors(d_pose), replaced)
+            covariance = covariance + replaced
         return Keyframe(
             id=self._keyframes,
             stamp=float(sweeps.columns.stamps[row]),
-            motion=Increment(stamp, d_pose, covariance, self._duration),
+            motion=Increment(stamp, d_pose, covariance, self._duration, part),
             odometry=odometry[row],
             T_keyframe_stamp=sweeps.T_middle_stamp[row],
             stamp_covariance=sweeps.stamp_covariance[row],

@@ -1,0 +1,106 @@
+"""Systematic errors of odometry, from the config to the keyframes and poses."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from impslam.columns import batches
+from impslam.config import load
+from impslam.noise import MotionNoise
+from impslam.observers.base import Observer
+from impslam.odometry.encoders import Encoders
+from impslam.run import Run
+from impslam.simulation.robot import SimulatedRobot
+from impslam.simulation.simulate import simulate
+from impslam.simulation.world import load_world
+from impslam.types import Imu
+
+SECONDS = 12.0
+BARE = [f"sensors.lidar.extractors.{name}.kind=none" for name in ("walls", "cylinders", "corners")]
+
+
+class Parts(Observer):
+    """Stores the systematic part of each keyframe's motion."""
+
+    def __init__(self):
+        self.parts = []
+
+    def revise(self, keyframe, revision, path):
+        self.parts.append(keyframe.motion.systematic)
+
+
+@cache
+def recording(with_gyro=False):
+    robot = SimulatedRobot() if with_gyro else SimulatedRobot(imu=None)
+    messages = list(simulate(load_world("arena"), robot, 0))
+    return [m for m in messages if m.stamp - messages[0].stamp < SECONDS]
+
+
+def played(messages, *settings):
+    seen = Parts()
+    run = Run(load("imp", settings), [seen])
+    return run.play(messages).rows(), seen.parts
+
+
+def test_noise_is_split_into_parts_with_the_same_sum_at_one_metre_and_one_radian():
+    noise = MotionNoise(systematic=0.8)
+    rest, errors = noise.split()
+    for d_pose in ([1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 1.0]):
+        distance, turn = d_pose[0], d_pose[2]
+        total = rest.covariance(distance, turn)
+        total[2, 2] += errors.turn_variances(np.array(d_pose))
+        np.testing.assert_allclose(total, noise.covariance(distance, turn), atol=1e-12)
+    at_once = errors.errors(np.array([0.0, 0.0, 1.0]))
+    assert at_once[2] @ at_once[2] == pytest.approx(0.8 * noise.turn_per_turn**2)
+
+
+def test_keyframes_carry_them_if_the_filter_can_consider_them_and_odometry_is_alone():
+    assert all(part is not None for part in played(recording())[1])
+    for settings in (
+        ["filter.kind=ukf"],
+        ["tracker.kind=scan_to_map"],
+        ["estimator.kind=graph"],
+        ["odometry.slip.systematic=0.0"],
+    ):
+        assert all(part is None for part in played(recording(), *settings)[1]), settings
+
+
+def test_from_the_first_reading_of_a_gyro_on_they_are_random_whatever_the_batches():
+    messages = recording(with_gyro=True)
+    began = messages[0].stamp + 5.0
+    late = [m for m in messages if not isinstance(m, Imu) or m.stamp > began]
+    rows, parts = played(late)
+    single = Run(load("imp"), [seen := Parts()])
+    for batch in batches(((type(m).__name__, m) for m in late), 1):
+        single.feed(batch)
+    single.flush()
+    assert [p is None for p in parts] == [p is None for p in seen.parts]
+    assert parts[0] is not None
+    assert parts[-1] is None
+    np.testing.assert_array_equal(rows.covariances, single.map().rows().covariances)
+
+
+def test_dead_reckoning_is_as_uncertain_with_many_keyframes_as_with_few():
+    """And less than with random errors alone: the drive turns by less than 1 rad at a time."""
+    few, many, random = (
+        played(recording(), *BARE, *settings)[0].covariances[-1]
+        for settings in (
+            ["keyframes.angle=0.2", "keyframes.distance=0.2"],
+            ["keyframes.angle=0.02", "keyframes.distance=0.02"],
+            ["odometry.slip.systematic=0.0"],
+        )
+    )
+    np.testing.assert_allclose(few, many, rtol=0.02, atol=1e-3 * few.max())
+    assert few[2, 2] < 0.7 * random[2, 2]
+
+
+def test_the_total_noise_of_encoders_does_not_depend_on_the_share():
+    parts = {"wheel_radius": 0.05, "track": 0.4}
+    odometry = Encoders(**parts)
+    rest, errors = odometry.split()
+    assert errors is not None
+    assert rest.split() == (rest, None)
+    assert rest.slip.turn_per_turn**2 + errors.turn**2 == pytest.approx(
+        odometry.slip.turn_per_turn**2
+    )

@@ -20,18 +20,17 @@ import numpy as np
 
 from impslam.bookkeeping import Stopwatch, about, dropped, seal
 from impslam.columns import Batch, Motions, Sweeps, batches
-from impslam.component import shorten
 from impslam.config import Config
 from impslam.continuing import Continuation, Known, begin_with
 from impslam.diagnosis.diagnose import first_health
 from impslam.diagnosis.odometry_watch import OdometryWatch
-from impslam.errors import ConfigError, SourceError, in_a_line
-from impslam.estimators.base import Draft
+from impslam.errors import SourceError, in_a_line
+from impslam.estimators.base import Draft, Estimator
 from impslam.geometry.se2 import compose, compose_uncertain
 from impslam.health import SOUND, UNEXPLAINED, Standing
 from impslam.map import Keyframe, Keyframes, Map, PathRows, T_map_odom, Track
 from impslam.map_builder import MapBuilder, blended
-from impslam.observers.base import Dropped, Observer, Outcome
+from impslam.observers.base import Dropped, Observer, Outcome, checked_observers
 from impslam.observers.health import HealthMonitor
 from impslam.open_log import for_continuing, open_log
 from impslam.provenance import fingerprint
@@ -99,16 +98,8 @@ def run(  # noqa: PLR0913  # each is a choice that a user may make
     chosen, source = open_log(log, config, settings)
     if begin is not None:
         chosen = for_continuing(chosen, settings)
-    seen_by = listed(observers)
-    return map_log(chosen, source, seen_by, progress, begin, first_health(chosen, source))
-
-
-def listed(observers: Iterable[Observer]) -> list[Observer]:
-    """Return a user's observers as a list; raise `ConfigError` if they are not some."""
-    given = list(observers) if isinstance(observers, Iterable) else None
-    if given is None or not all(isinstance(one, Observer) for one in given):
-        raise ConfigError(f"observers = {shorten(observers)}: expected a list of Observer")
-    return given
+    given = checked_observers(observers)
+    return map_log(chosen, source, given, progress, begin, first_health(chosen, source))
 
 
 def map_log(
@@ -259,15 +250,10 @@ class Run:
 
     def map(self) -> Map:
         """Return the current map; later data do not change it."""
-        known, estimator = self._builder.map(), self.estimator
-        return replace(
-            known,
-            landmarks=estimator.landmarks(),
-            landmark_covariance=estimator.landmark_covariance(),
-            edges=estimator.edges(),
-            # after an error, the estimator may have a keyframe that the map has not
-            observations=estimator.observations()[: len(known.keyframes)],
-        )
+        known = _estimated(self._builder.map(), self.estimator)
+        # after an error, the estimator may have a keyframe that the map has not
+        seen = self.estimator.observations()[: len(known.keyframes)]
+        return replace(known, observations=seen)
 
     def settled(self) -> Map:
         """Return the map with all keyframes refined jointly, which may take seconds."""
@@ -418,6 +404,16 @@ _PENDING = (
 )
 
 
+def _estimated(known: Map, estimate: Estimator | Draft) -> Map:
+    """Return the map with the landmarks and edges of an estimate."""
+    return replace(
+        known,
+        landmarks=estimate.landmarks(),
+        landmark_covariance=estimate.landmark_covariance(),
+        edges=estimate.edges(),
+    )
+
+
 def _finished(
     known: Map, estimate: Draft, outcome: Outcome, logs: list[dict[str, Any]]
 ) -> tuple[Map, Outcome]:
@@ -430,12 +426,7 @@ def _finished(
         known = blended(known.revised(revision))
         if revision.refused:
             unused["settled map"] = Dropped(1, revision.refused)
-    known = replace(
-        known,
-        landmarks=estimate.landmarks(),
-        landmark_covariance=estimate.landmark_covariance(),
-        edges=estimate.edges(),
-    )
+    known = _estimated(known, estimate)
     counts = {**outcome.counts, "landmarks": len(known.landmarks)}
     outcome = replace(outcome, counts=counts, stages=stages, dropped=unused)
     return replace(known, about=about(outcome, logs)), outcome

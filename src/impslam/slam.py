@@ -15,9 +15,9 @@ from impslam.continuing import begin_with
 from impslam.errors import ConfigError, ImpError
 from impslam.given_arrays import finite, numeric, rows_of
 from impslam.map import Keyframe, Map, PathRows, Revision, Track
-from impslam.observers.base import Observer
+from impslam.observers.base import Observer, checked_observers
 from impslam.open_log import finished, for_continuing
-from impslam.run import Run, listed
+from impslam.run import Run
 from impslam.types import (
     Array,
     LaserScan,
@@ -83,7 +83,7 @@ class Slam:
         self._newest = _Newest(placed=begin is None)
         if begin is not None:
             chosen = for_continuing(chosen, settings)
-        self._run = Run(chosen, [self._newest, *listed(observers)], begin)
+        self._run = Run(chosen, [self._newest, *checked_observers(observers)], begin)
         self._progress, self._order = progress, 0
         self._newest_stamps: dict[str, float] = {}  # by stream
         self._newest_scans: dict[str, float] = {}  # stamps by stream, of scans alone

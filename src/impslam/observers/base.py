@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from impslam.component import shorten
+from impslam.errors import ConfigError
 from impslam.health import NO_SCANS, Health
 from impslam.map import Keyframe, Map, PathRows, Revision, Track
 from impslam.types import Array, TruePose
@@ -74,3 +76,11 @@ class Observer:
 
     def finish(self, known: Map, outcome: Outcome) -> None:
         """Receive the map at the end of the run, even if it ended early (`outcome.partial`)."""
+
+
+def checked_observers(observers: Iterable[Observer]) -> list[Observer]:
+    """Return a user's observers as a list; raise `ConfigError` if they are not some."""
+    given = list(observers) if isinstance(observers, Iterable) else None
+    if given is None or not all(isinstance(one, Observer) for one in given):
+        raise ConfigError(f"observers = {shorten(observers)}: expected a list of Observer")
+    return given

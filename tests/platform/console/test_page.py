@@ -1,6 +1,7 @@
 """The page as a whole: offline, quiet, readable on a phone, and what its panels do."""
 
 import re
+from dataclasses import replace
 from urllib.parse import urlsplit
 
 import pytest
@@ -11,8 +12,12 @@ from tests.platform.console.browsing import until, visit
 from impslam.platform.console.fault_panel import FAULTS
 from impslam.platform.console.health_panel import climate_row, device_row, event_row, page_row
 from impslam.platform.console.page import STYLE
+from impslam.platform.console.robot_panels import alarms
 from impslam.platform.console.widgets import duration, size
 from impslam.platform.devices.base import DeviceHealth
+from impslam.platform.station.mapper_status import OFF
+from impslam.platform.station.recorder import RecordingStatus
+from impslam.platform.station.station import StationHealth
 from impslam.platform.virtual.faults import parse_fault
 from impslam.types import Climate, Event
 
@@ -75,6 +80,25 @@ def test_a_state_has_text_icon_and_colour_and_only_problems_are_counted():
     assert "3 corrupt" in troubled
     assert "99" not in troubled
     assert "0 lost" not in troubled
+
+
+def test_alarms_are_whatever_the_driver_must_know():
+    def health(mapping, recording, **states):
+        devices = {n: DeviceHealth(s, "unplugged", {}, {}, 0.0) for n, s in states.items()}
+        return StationHealth(devices, recording, mapping)
+
+    ended = RecordingStatus(error="the disk is full")
+    failed = replace(OFF, state="failed", detail="a bug")
+    well = health(OFF, RecordingStatus(), lidar="ok", wheels="silent")
+    assert alarms(well, "", {"wheels"}) == []
+    assert alarms(health(failed, ended, lidar="lost", wheels="lost"), "blocked", {"wheels"}) == [
+        "wheels lost: unplugged",
+        "lidar lost: unplugged",
+        "Blocked",
+        "Mapping has failed: a bug",
+        "Not recording: the disk is full",
+    ]
+    assert alarms(health(OFF, replace(ended, active=True)), "", ()) == []
 
 
 def test_latency_is_shown_with_median_and_p99():

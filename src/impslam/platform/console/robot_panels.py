@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 from nicegui import background_tasks, html
 from nicegui.element import Element
 
@@ -78,21 +80,37 @@ class RobotPanels:
             background_tasks.create(self._logs.update(), name="logs")
             background_tasks.create(self._maps.update(), name="maps")
         self._count += 1
-        return self._alarms(health, helm.hindrance)
+        devices = self._station.devices.items()
+        drives = {name for name, device in devices if isinstance(device, DriveDevice)}
+        return alarms(health, helm.hindrance, drives)
 
     def leave(self) -> None:
         """Leave the helm."""
         self._drive.leave()
 
-    def _alarms(self, health: StationHealth, hindrance: str) -> list[str]:
-        """Return which devices are lost, and why the robot does not move as it is driven.
 
-        A drive device comes first, since it cannot be stopped.
-        """
-        lost = [name for name, one in health.devices.items() if one.state == "lost"]
-        lost.sort(key=lambda name: not isinstance(self._station.devices.get(name), DriveDevice))
-        alarms = [f"{name} lost: {health.devices[name].detail}" for name in lost]
-        return [*alarms, hindrance[:1].upper() + hindrance[1:]] if hindrance else alarms
+def alarms(health: StationHealth, hindrance: str, drives: Collection[str]) -> list[str]:
+    """Return what the driver must know, whatever panel is open.
+
+    A lost drive device comes first, since it cannot be stopped; then other lost devices, why the robot does
+    not move as it is driven, and why it does not map or record any more.
+
+    Parameters
+    ----------
+    health : of the robot
+    hindrance : why the robot does not move as it is driven, "" if it does
+    drives : names of the drive devices
+    """
+    lost = [name for name, one in health.devices.items() if one.state == "lost"]
+    lost.sort(key=lambda name: name not in drives)
+    found = [f"{name} lost: {health.devices[name].detail}" for name in lost]
+    if hindrance:
+        found.append(hindrance[:1].upper() + hindrance[1:])
+    if health.mapping.state == "failed":
+        found.append(f"Mapping has failed: {health.mapping.detail}")
+    if health.recording.error and not health.recording.active:
+        found.append(f"Not recording: {health.recording.error}")
+    return found
 
 
 def _tabs() -> None:

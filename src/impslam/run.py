@@ -25,7 +25,7 @@ from impslam.continuing import Continuation, Known, begin_with
 from impslam.diagnosis.diagnose import first_health
 from impslam.diagnosis.odometry_watch import OdometryWatch
 from impslam.errors import SourceError, in_a_line
-from impslam.estimators.base import Draft, Estimator
+from impslam.estimators.base import Draft, completed
 from impslam.geometry.se2 import compose, compose_uncertain
 from impslam.health import SOUND, UNEXPLAINED, Standing
 from impslam.map import Keyframe, Keyframes, Map, PathRows, T_map_odom, Track
@@ -250,10 +250,10 @@ class Run:
 
     def map(self) -> Map:
         """Return the current map; later data do not change it."""
-        known = _estimated(self._builder.map(), self.estimator)
+        known = self._builder.map()
         # after an error, the estimator may have a keyframe that the map has not
         seen = self.estimator.observations()[: len(known.keyframes)]
-        return replace(known, observations=seen)
+        return completed(replace(known, observations=seen), self.estimator)
 
     def settled(self) -> Map:
         """Return the map with all keyframes refined jointly, which may take seconds."""
@@ -404,16 +404,6 @@ _PENDING = (
 )
 
 
-def _estimated(known: Map, estimate: Estimator | Draft) -> Map:
-    """Return the map with the landmarks and edges of an estimate."""
-    return replace(
-        known,
-        landmarks=estimate.landmarks(),
-        landmark_covariance=estimate.landmark_covariance(),
-        edges=estimate.edges(),
-    )
-
-
 def _finished(
     known: Map, estimate: Draft, outcome: Outcome, logs: list[dict[str, Any]]
 ) -> tuple[Map, Outcome]:
@@ -426,7 +416,7 @@ def _finished(
         known = blended(known.revised(revision))
         if revision.refused:
             unused["settled map"] = Dropped(1, revision.refused)
-    known = _estimated(known, estimate)
+    known = completed(known, estimate)
     counts = {**outcome.counts, "landmarks": len(known.landmarks)}
     outcome = replace(outcome, counts=counts, stages=stages, dropped=unused)
     return replace(known, about=about(outcome, logs)), outcome

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -135,6 +136,16 @@ class Estimator(Component):
     @abstractmethod
     def state_size(self) -> int:
         """Number of estimated scalars."""
+
+
+def completed(known: Map, estimate: Estimator | Draft) -> Map:
+    """Return a map with the landmarks and the edges of an estimate."""
+    return replace(
+        known,
+        landmarks=estimate.landmarks(),
+        landmark_covariance=estimate.landmark_covariance(),
+        edges=estimate.edges(),
+    )
 
 
 def is_finite(motion: Increment) -> bool:

@@ -292,7 +292,7 @@ def test_a_session_elsewhere_is_not_located(lap):
 
 
 def test_a_frozen_map_stays_and_the_drive_through_it_does_not_drift(lap):
-    known = mapped(begun(AGAIN[0]), lap)
+    known = replace(mapped(begun(AGAIN[0]), lap), landmark_covariance=np.eye(2))
     drift = keyframes(RING, TRUTH, drift=(0.0, 0.0, 0.004), rng=np.random.default_rng(5))
     made, builder, n = Graph(), MapBuilder(known, frozen=True), len(known.keyframes)
     made.start(np.zeros(3), models=MODELS)
@@ -301,6 +301,7 @@ def test_a_frozen_map_stays_and_the_drive_through_it_does_not_drift(lap):
         frame = replace(given, id=k, lost=k == n)
         builder.revise(frame, made.add(frame))
     there = builder.map().revised(made.settle())
+    assert made.landmark_covariance() is known.landmark_covariance
     np.testing.assert_array_equal(there.keyframes.poses[:n], known.keyframes.poses)
     np.testing.assert_array_equal(there.grid().logodds, known.grid().logodds)
     assert there.keyframes.placed.all()

@@ -91,7 +91,9 @@ def test_a_folder_that_its_recorder_did_not_close_is_one_log(room, tmp_path, plu
     config, source = open_log(log)
     assert worst(map_log(config, source).path(), truth) < 0.01
     assert source.problems.counts == {"cut file": 1}
-    assert "ros2 bag reindex" in source.problems.examples["cut file"]
+    said = source.problems.examples["cut file"]
+    assert "has no metadata.yaml" in said
+    assert "ros2 bag reindex" in said
     (piece,) = log.glob("bag_9.*")
     piece.rename(piece.with_stem("other_9"))
     with pytest.raises(SourceError, match=r"it contains 2 logs, bag_10\..*, other_9\."):

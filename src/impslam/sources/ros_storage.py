@@ -123,6 +123,13 @@ class Bag:
             raise _too_large(self._path, error) from None
 
     @property
+    def damage(self) -> str:
+        """What is wrong with a file that is cut."""
+        if isinstance(self._storage, UnlistedFolder):
+            return f"has no {METADATA}: the recorder was killed, or it was not copied"
+        return "is truncated (power loss, or still being recorded)"
+
+    @property
     def repair(self) -> str:
         """The command that repairs a truncated file."""
         if self.is_ros1:

@@ -272,8 +272,8 @@ class RosBag(Source):
         if bag.is_cut:
             self._problems.add(
                 "cut file",
-                f"{self.path}: is truncated (power loss, or still being recorded); complete records "
-                f"are used; other programs need `{bag.repair}` first",
+                f"{self.path}: {bag.damage}; complete records are used; other programs need "
+                f"`{bag.repair}` first",
             )
         joints = (self.left_joint, self.right_joint)
         reader = RowReader(self.path, bag, self._uses, joints, self._edge, self._problems)

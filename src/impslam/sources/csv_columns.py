@@ -106,8 +106,9 @@ def layout(
         If the stamp, the ranges or the directions of the beams are not found; the text says what to do.
     """
     cells = {role: _given_cells(header, role, text) for role, text in given.items()}
+    plain = ["." + _BRACKETED.sub(r"_\1", name.lower()).lstrip("%# ") for name in header]
     for role, names in NAMES.items():
-        if role not in cells and (found := _find_by_name(header, names)):
+        if role not in cells and (found := _find_by_name(plain, names)):
             cells[role] = found
     if "ranges" not in cells and (beams := _beams(header)):
         cells["ranges"] = beams
@@ -163,11 +164,10 @@ def _find(header: Sequence[str], name: str) -> int:
     return list(header).index(name)
 
 
-def _find_by_name(header: Sequence[str], names: Sequence[str]) -> CsvCells | None:
-    """Return the column with the first of some names that is in the header."""
-    whole = ["." + _BRACKETED.sub(r"_\1", name.lower()).lstrip("%# ") for name in header]
+def _find_by_name(plain: Sequence[str], names: Sequence[str]) -> CsvCells | None:
+    """Return the column with the first of some names among those of a header, in lower case after a dot."""
     for name in names:
-        for k, column in enumerate(whole):
+        for k, column in enumerate(plain):
             stem, _, unit = column.rpartition("_")
             if column.endswith(f".{name}"):
                 return CsvCells(k, k + 1, 1.0)

@@ -264,7 +264,8 @@ class Scans:
     """The columns of `Scan`: m sweeps of n beams each, in base_link at the middle of each sweep.
 
     `ranges`, `valid`, `directions`, `sigmas` are (m, n), `points` and `origins` (m, n, 2); `angles`
-    (n,), `bias`, `range_max` and `laser` (3,) are the same for all; see `Scan`.
+    (n,), `bias`, `range_max` and `laser` (3,) are the same for all; see `Scan`. So is `after` (n,) s, the
+    times of the beams after the middle of the sweep, None if nothing is to be de-skewed.
     """
 
     stamps: Array
@@ -279,6 +280,7 @@ class Scans:
     range_max: float
     laser: Array
     intensities: Array | None = None
+    after: Array | None = None
 
     def take(self, rows: slice | Ints | Mask) -> Scans:
         """Return some of the sweeps."""
@@ -286,7 +288,7 @@ class Scans:
         return Scans(
             self.stamps[rows], self.angles, self.ranges[rows], self.valid[rows], self.points[rows],
             self.directions[rows], self.origins[rows], self.sigmas[rows], self.bias,
-            self.range_max, self.laser, intensities,
+            self.range_max, self.laser, intensities, self.after,
         )  # fmt: skip
 
     def row(self, k: int) -> Scan:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -96,6 +97,9 @@ class _Follower:
     def follow(self, motions: Motions, sweeps: Sweeps) -> Iterator[_Followed]:
         """Yield the motions to the next sweeps, in order."""
         begin = 0
+        assert sweeps.scans is not None
+        raw = replace(sweeps.scans, after=None)  # checks of the beams' order need them as received
+        sweeps = replace(sweeps, scans=raw)
         while begin < len(sweeps):
             rows = slice(begin, begin + CHUNK)
             steps = self._tracker.steps(motions.take(rows), sweeps.take(rows), self._gate)
@@ -104,8 +108,7 @@ class _Follower:
             lost = np.convolve(~trusted, np.ones(MAX_MISMATCHES), "valid") == MAX_MISMATCHES
             self._restarted = bool(lost.any())
             end = int(np.argmax(lost)) + MAX_MISMATCHES if self._restarted else len(trusted)
-            assert sweeps.scans is not None
-            determined = determines_pose(sweeps.scans.take(slice(begin, begin + end)))
+            determined = determines_pose(raw.take(slice(begin, begin + end)))
             yield _Followed(steps.moved[:end], trusted[:end], steps.located[:end] & determined)
             begin += end
             if self._restarted:

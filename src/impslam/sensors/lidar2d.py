@@ -135,7 +135,8 @@ class Lidar2D(Sensor):
             np.array([self.sigma, self.sigma_per_m]),
         )
         laser = np.array(self.mount)
-        return Scans(columns.stamps, angles, *parts, self.bias, high, laser, columns["intensities"])
+        same = self.bias, high, laser, columns["intensities"], after if after.any() else None
+        return Scans(columns.stamps, angles, *parts, *same)
 
     def scan(self, message: LaserScan, twist: Array) -> Scan:
         """Return one message as a scan; see `sweeps`."""

@@ -23,6 +23,7 @@ from impslam.noise import SystematicErrors
 from impslam.parameters import Parameters
 from impslam.sources.base import Problems
 from impslam.tracking.screening import Screening
+from impslam.tracking.self_deskewing import with_stamps, writable
 from impslam.types import Array, Increment, Mask, SystematicPart
 
 _CONTRADICTED = (
@@ -158,7 +159,8 @@ class Tracker(Component):
     def steps(self, motions: Motions, sweeps: Sweeps, gate: Gate) -> Steps:
         """Track the next sweeps of one sensor, and add their motion to its keyframe gate.
 
-        `motions` are by odometry, from the middle of the previous sweep to the middle of each.
+        `motions` are by odometry, from the middle of the previous sweep to the middle of each. Scans whose
+        motion is unknown may be de-skewed in place.
         """
 
     def follow(
@@ -175,6 +177,7 @@ class Tracker(Component):
         self._systematic = systematic or [None] * len(sweeps)
         travelled = self._travelled.setdefault(sweeps.sensor, np.full(3, math.inf))
         sweeps, wrong, amounts = self._screening.screen(motions, sweeps, self._problems)
+        sweeps = writable(motions, sweeps)
         steps = self.steps(motions, sweeps, Gate(self._limits, travelled))
         worse = wrong > steps.reasons
         steps.reasons[worse], steps.amounts[worse] = wrong[worse], amounts[worse]
@@ -189,6 +192,7 @@ class Tracker(Component):
                 mark_keyframes(steps.moved, motions.duration, none_due, gate)
         odometry, at_stamp = _dead_reckon(self._odometry, motions.d_pose, sweeps.T_middle_stamp)
         self._odometry = odometry[-1] if len(odometry) else self._odometry
+        sweeps = with_stamps(motions, sweeps, steps.moved)
         tracked = _Tracked(motions, steps, sweeps, at_stamp)
         begin = 0
         for end in np.flatnonzero(steps.is_keyframe).tolist():

@@ -101,12 +101,17 @@ class State(NamedTuple):
 
 
 class BeamColumns(NamedTuple):
-    """The columns of `Scans` that matching uses, with ranges of 0 where invalid, and beam directions."""
+    """The columns of `Scans` that matching uses, with ranges of 0 where invalid, and beam directions.
+
+    Without odometry, `points`, `origins` and `directions` are de-skewed in place, if `after` is not empty.
+    """
 
     points: Array
     valid: Mask
     ranges: Array
     origins: Array
+    directions: Array
+    after: Array
     geometry: Geometry
 
 

@@ -48,6 +48,7 @@ from impslam.tracking.match_faults import (
 )
 from impslam.tracking.match_information import add_along, add_drift, information, remove_spurious
 from impslam.tracking.matching_state import BeamColumns, Match, Settings, State
+from impslam.tracking.self_deskewing import deskew, set_twist
 from impslam.tracking.submaps import extend, is_empty, older_map
 from impslam.types import Array, Mask
 
@@ -120,6 +121,8 @@ def _use_scan(
 ) -> None:
     """Match sweep k if it has enough points, and begin the next motion at its pose."""
     features = np.empty((beams.points.shape[1], 5), np.float32)
+    if no_odometry and not state.frozen.is_frozen[0] and len(beams.after):
+        _deskew(k, motions.duration[k], beams, state, settings, features)
     count = _find_features(beams, k, no_odometry, settings, features)
     if count < MIN_POINTS:
         state.submaps.travelled[0] += state.travelled[0]
@@ -134,6 +137,30 @@ def _use_scan(
     state.averages[3] = updated_interval(state.averages[3], state.travelled[2])
     state.matched[:] = state.pose
     state.motion[:], state.covariance[:], state.travelled[:] = 0.0, 0.0, 0.0
+
+
+@kernel
+def _deskew(
+    k: int, seconds: float, beams: BeamColumns, state: State, settings: Settings, features: Features
+) -> None:
+    """De-skew sweep k, `seconds` after the last one, with the motion to its first match.
+
+    For that match it is de-skewed with the last velocity. `features` are overwritten.
+    """
+    parts = beams.points[k], beams.origins[k], beams.directions[k], beams.after
+    known, twist, motion = np.zeros(3), np.zeros(3), state.velocity.copy()
+    if not is_empty(state.submaps):
+        set_twist(motion, seconds, beams.after, known)
+        deskew(parts, known, np.zeros(3))
+        count = _find_features(beams, k, True, settings, features)
+        if count < MIN_POINTS:
+            return
+        guess, means = state.pose.copy(), state.averages.copy()
+        _find_pose(features[:count], state, settings, np.empty((3, 3)), np.empty(3))
+        between(state.matched, state.pose, motion)
+        state.pose[:], state.averages[:] = guess, means
+    set_twist(motion, seconds, beams.after, twist)
+    deskew(parts, twist, known)
 
 
 @kernel

@@ -136,13 +136,14 @@ def _beams(scans: Scans | None, m: int) -> BeamColumns:
     if scans is None:
         none: Array = np.zeros((m, 0))
         geometry = Geometry(np.zeros(3), 0.0, 0.0)
-        return BeamColumns(
-            np.zeros((m, 0, 2)), none.astype(np.bool_), none, np.zeros((m, 0, 2)), geometry
-        )
+        ends = np.zeros((m, 0, 2))
+        return BeamColumns(ends, none.astype(np.bool_), none, ends, none, np.zeros(0), geometry)
     return BeamColumns(
         plain(scans.points),
         np.ascontiguousarray(scans.valid),
         plain(np.where(scans.valid, scans.ranges, 0.0)),
         plain(scans.origins),
+        plain(scans.directions),
+        np.zeros(0) if scans.after is None else plain(scans.after),
         geometry_of(scans),
     )

@@ -1,0 +1,84 @@
+"""De-skew the sweeps of a robot without odometry, by the motion that scan matching finds.
+
+A turn by 1 rad/s rotates the end of a sweep of 0.18 s against its beginning by 10 deg. The robot speeds up
+and brakes from sweep to sweep, so the motion is that to a first match of the sweep, de-skewed with the last
+velocity. It also leads from the pose at the middle of the sweep to that at its stamp.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from impslam.columns import Motions, Sweeps
+from impslam.geometry.kernels import kernel
+from impslam.noise import UNKNOWN
+from impslam.types import Array, Mask
+
+
+def writable(motions: Motions, sweeps: Sweeps) -> Sweeps:
+    """Return sweeps that a tracker may de-skew in place: copies, if any motion is unknown."""
+    scans = sweeps.scans
+    if scans is None or scans.after is None or not unknown(motions.covariance).any():
+        return sweeps
+    points, origins = np.array(scans.points), np.array(scans.origins)
+    directions = np.array(scans.directions)
+    own = replace(scans, points=points, origins=origins, directions=directions)
+    return replace(sweeps, scans=own)
+
+
+def with_stamps(motions: Motions, sweeps: Sweeps, moved: Array) -> Sweeps:
+    """Return sweeps with the motions from their middles to their stamps, where odometry tells none.
+
+    `moved` (m, 3) are the tracked motions from the middle of the previous sweep to that of each.
+    """
+    scans, alone = sweeps.scans, unknown(motions.covariance)
+    if scans is None or scans.after is None or not alone.any():
+        return sweeps
+    span = float(np.ptp(scans.after))
+    after = sweeps.columns.stamps - sweeps.middles
+    after[~alone | (np.abs(after) > span)] = 0.0  # beyond: the clock was set
+    share = after / np.maximum(motions.duration, span)
+    return replace(sweeps, T_middle_stamp=sweeps.T_middle_stamp + share[:, None] * moved)
+
+
+def unknown(covariances: Array) -> Mask:
+    """Return which motions are unknown, from their covariances (m, 3, 3)."""
+    return np.asarray(covariances[:, 0, 0] >= 0.5 * UNKNOWN)  # rounded if cut and composed
+
+
+@kernel
+def set_twist(motion: Array, seconds: float, after: Array, twist: Array) -> None:
+    """Set the twist (3,) of a sweep to that of a motion (3,) in the `seconds` between two sweeps.
+
+    `after` (n,) s are the times of the beams after the middle. No sweep takes longer than the time between
+    sweeps; stamps that say so are wrong.
+    """
+    first = last = 0.0
+    for t in after:
+        first, last = min(first, t), max(last, t)
+    twist[:] = motion / max(seconds, last - first, 1e-3)
+
+
+@kernel
+def deskew(parts: tuple[Array, Array, Array, Array], twist: Array, known: Array) -> None:
+    """Move the beams of a sweep to its middle in place, with a twist (3,) instead of the `known` one.
+
+    `parts` are the end points (n, 2), origins (n, 2) and directions (n,) of the beams, and their times (n,)
+    after the middle. A chord at half of the turn stands for each arc.
+    """
+    points, origins, directions, after = parts
+    for i in range(len(after)):
+        t = after[i]
+        old, new = known[2] * t, twist[2] * t
+        c, s = math.cos(0.5 * old), math.sin(0.5 * old)
+        from_x, from_y = t * (c * known[0] - s * known[1]), t * (s * known[0] + c * known[1])
+        c, s = math.cos(0.5 * new), math.sin(0.5 * new)
+        to_x, to_y = t * (c * twist[0] - s * twist[1]), t * (s * twist[0] + c * twist[1])
+        c, s = math.cos(new - old), math.sin(new - old)
+        directions[i] += new - old
+        for ends in (points, origins):
+            x, y = ends[i, 0] - from_x, ends[i, 1] - from_y
+            ends[i, 0], ends[i, 1] = to_x + c * x - s * y, to_y + s * x + c * y

@@ -1,9 +1,8 @@
 """Track the robot by scan matching: one compiled loop over sweeps.
 
-A sweep is matched if odometry has moved since the last match, or if its ranges have changed: odometry may
-be frozen while the robot moves. The prior is odometry, corrected by the bias learned so far, with heavy
-tails: wheels slip, and robots push against walls. If the scan fits much worse than previous ones, the pose
-is searched for around several predictions.
+The prior is odometry, corrected by the bias learned so far, with heavy tails: wheels slip, and robots push
+against walls. If the scan fits much worse than previous ones, the pose is searched for around several
+predictions. See `due` for which sweeps are matched.
 """
 
 from __future__ import annotations
@@ -24,8 +23,9 @@ from impslam.surfaces.surface_map import Alignment, align
 from impslam.tracking.base import Gate, Steps, add_travel, reaches_limit
 from impslam.tracking.carried import begin_place, notice_carried
 from impslam.tracking.contradictions import MIN_CONTRADICTED, contradicted_share
+from impslam.tracking.due import is_due
 from impslam.tracking.frozen import notice_frozen, remains_frozen
-from impslam.tracking.fusion import MAX_COAST, MIN_MOTION, RATE_SIGMA, SPEED_SIGMA, coast, fuse
+from impslam.tracking.fusion import MAX_COAST, RATE_SIGMA, SPEED_SIGMA, coast, fuse
 from impslam.tracking.hypotheses import (
     Prediction,
     align_from_predictions,
@@ -50,11 +50,8 @@ from impslam.tracking.match_information import add_along, add_drift, information
 from impslam.tracking.matching_state import BeamColumns, Match, Settings, State
 from impslam.tracking.self_deskewing import deskew, set_twist
 from impslam.tracking.submaps import extend, is_empty, older_map
-from impslam.types import Array, Mask
+from impslam.types import Array
 
-MIN_RANGE_CHANGE, MIN_CHANGED_SHARE = (0.03, 0.005), 0.1
-"""m, and share of the range: a range changed if it differs by more than this (3 sigma of the noise); and
-the share of ranges that must change, since people change some."""
 MIN_POINTS = 10
 """Points; a scan with fewer is not matched."""
 MIN_SLIP = (0.1, 0.025)
@@ -96,7 +93,7 @@ def follow(
         at_limit = reaches_limit(gate, d_pose, motions.duration[k])
         in_doubt = state.faults.poor[0] > 0.0
         wanted = at_limit or no_odometry or in_doubt or state.proven[0] > 0.0
-        if wanted or _due(beams.ranges[k], beams.valid[k], state):
+        if wanted or is_due(beams.ranges[k], beams.valid[k], state):
             _use_scan(k, no_odometry, motions, beams, state, settings, out)
         else:
             out.reasons[k], out.amounts[k] = current_fault(state.faults, state.travelled[2])
@@ -205,24 +202,6 @@ def _find_features(
     if no_odometry:
         count = leave_out_oblique(out[:count])
     return count
-
-
-@kernel
-def _due(ranges: Array, valid: Mask, state: State) -> bool:
-    """Return whether a scan should be matched."""
-    lidar = state.lidar
-    far = math.hypot(state.motion[0], state.motion[1]) >= MIN_MOTION[0]
-    if np.isnan(lidar.added[0]) or far or abs(state.motion[2]) >= MIN_MOTION[1]:
-        return True
-    both = changed = 0
-    for i in range(len(ranges)):
-        if valid[i] and lidar.ranges[i] > 0.0:
-            both += 1
-            changed += (
-                abs(ranges[i] - lidar.ranges[i])
-                > MIN_RANGE_CHANGE[0] + MIN_RANGE_CHANGE[1] * ranges[i]
-            )
-    return changed > MIN_CHANGED_SHARE * both
 
 
 @kernel

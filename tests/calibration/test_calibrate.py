@@ -11,6 +11,7 @@ from impslam.calibration.lidar_path import lidar_path
 from impslam.calibration.recording import record_batches
 from impslam.calibration.scan_pairs import match_pairs
 from impslam.columns import batches
+from impslam.component import build
 from impslam.config import load, merge
 from impslam.errors import ConfigError, SourceError
 from impslam.simulation.robot import InertialUnit, Lidar, SimulatedRobot, WheelEncoders
@@ -80,6 +81,17 @@ def test_range_scale_follows_from_a_kept_length(eight):
     assert not got["track"].observable
     assert got["range_scale"].value == pytest.approx(0.44 / 0.41, rel=0.02)
     assert got["wheel_radius"].value == pytest.approx(0.064 * 0.44 / 0.41, rel=0.02)
+
+
+def test_calibrated_turns_have_no_systematic_error_left(eight):
+    """But a track that was kept may be wrong, so the noise that was found includes its error."""
+    drives = extract_drives(WRONG, eight, "log")
+    own = build("odometry", WRONG.odometry).slip.systematic
+    assert own > 0.0
+    for keep, share in (((), 0.0), (("track",), own)):
+        tables = config_tables(calibrate(WRONG, drives, keep))
+        config = load(merge(WRONG.model_dump(exclude_none=True), tables))
+        assert build("odometry", config.odometry).slip.systematic == share
 
 
 def test_several_logs_reduce_the_sigmas(eight):

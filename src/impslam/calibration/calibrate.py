@@ -61,6 +61,8 @@ KINDS = {
 }
 LENGTHS = ("wheel_radius", "track", "distance_scale", "speed_scale")
 """Lengths of the robot, one of which must be kept to find the scale of the ranges: they scale together."""
+TURNING = ("right_left_ratio", "track", "turn_scale", "turn_per_metre")
+"""Factors of turns; their errors are the systematic errors of odometry."""
 
 
 class Parameter(NamedTuple):
@@ -293,4 +295,6 @@ def config_tables(calibration: Calibration) -> dict[str, Any]:
         (odometry.setdefault(group, {}) if group else odometry)[name] = spread.value
     if "slip" in odometry:
         odometry["slip"]["forward"] = 0.0  # included in wheel_noise
+    if all(one.observable for one in calibration.parameters if one.name in TURNING):
+        odometry["slip" if "slip" in odometry else "noise"]["systematic"] = 0.0
     return {"odometry": odometry, "sensors": {calibration.lidar: lidar}}

@@ -1,6 +1,7 @@
 """Sessions: drives in one graph whose relation is not known until a closure joins them."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -276,6 +277,26 @@ def test_a_place_elsewhere_takes_more_while_odometry_may_be_right(comparisons, r
     placer.begin(9, (np.zeros(3), np.eye(3)))
     placer._compared = [compared(*row) for row in comparisons]
     assert placer._required() == required
+
+
+@pytest.mark.parametrize(
+    ("comparisons", "assumed"),
+    [
+        ([(np.inf, False)] * 9, True),
+        ([(1.0, False)] * 2 + [(np.inf, False)] * 7, True),
+        ([(1.0, False)] * 3 + [(np.inf, False)] * 12, False),
+        ([(1.0, False)] * 3 + [(1.0, True)] * 3 + [(np.inf, False)] * 3, True),
+    ],
+    ids=["unknown", "a crowd", "carried", "agreeing"],
+)
+def test_odometry_that_the_map_contradicts_does_not_join_a_session(comparisons, assumed):
+    """A robot that was carried soon leaves the map by odometry: unknown areas do not speak for it."""
+    placer = SessionPlacer(LoopCloser(LoopSearch()))
+    placer.begin(1, (np.zeros(3), np.eye(3)))
+    placer._compared = [compared(*row) for row in comparisons]
+    nodes = np.arange(2 + len(comparisons))
+    keys = SimpleNamespace(nodes=nodes, distance=2.5 * nodes)
+    assert placer._may_assume_odometry(int(nodes[-1]), keys) == assumed
 
 
 def test_a_session_elsewhere_is_not_located(lap):

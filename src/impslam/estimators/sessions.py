@@ -15,7 +15,14 @@ from typing import NamedTuple
 import numpy as np
 
 from impslam.estimators.keyframe_log import KeyframeLog
-from impslam.estimators.loop_closing import Comparison, LoopCloser, PendingClosure, add, agree
+from impslam.estimators.loop_closing import (
+    MIN_CONTRADICTIONS,
+    Comparison,
+    LoopCloser,
+    PendingClosure,
+    add,
+    agree,
+)
 from impslam.estimators.pose_graph import PoseGraph
 from impslam.estimators.session_finder import SessionFinder
 from impslam.geometry.se2 import between, compose
@@ -33,7 +40,6 @@ little but the crowd that covered the lidar."""
 BREAK_LENGTH = 40.0  # m whose drift is as large: loops are searched for in windows that are so wide
 MIN_SEARCH_DISTANCE = 20.0
 """m driven before an unlocated session may be joined by odometry: six times the length of a query."""
-MAX_CHECKED_NODES = 12  # 30 m of driving that the map must not contradict
 
 
 class _Break(NamedTuple):
@@ -185,8 +191,9 @@ class SessionPlacer:
     def _may_assume_odometry(self, node: int, keys: KeyframeLog) -> bool:
         """Return whether a session that could not be located may be joined to the map by odometry.
 
-        It may after a long search, unless the map contradicts the scans of its nodes at the resulting
-        poses. If the map does not, the view has changed, but not the place.
+        It may after a long search, unless the map contradicts the scans of several nodes at the resulting
+        poses, and of more than it agrees with. If it does not, the view has changed, but not the place.
+        Nodes in unknown areas say nothing: a robot that was carried soon leaves the map by odometry.
         """
         driven = keys.distance[keys.nodes]
         if (
@@ -195,8 +202,9 @@ class SessionPlacer:
             or driven[node] - driven[self._breaks[-1].node] < MIN_SEARCH_DISTANCE
         ):
             return False
-        last = self._compared[-MAX_CHECKED_NODES:]
-        return 2 * sum(one.contradicts for one in last) < len(last)
+        against = sum(one.contradicts for one in self._compared)
+        agreeing = sum(one.closure is not None for one in self._compared)
+        return against < MIN_CONTRADICTIONS or against <= agreeing
 
     def _join_breaks(self, graph: PoseGraph) -> None:
         """Join sessions by the motions from odometry, robustly: wrong ones have little weight."""

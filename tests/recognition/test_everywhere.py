@@ -100,7 +100,8 @@ def test_the_best_place_is_that_of_trying_every_one(ground, truth):
 def beams_of(pose):
     scan = view(seen(PLAN, pose))
     ends = scan.features[:, :2].astype(float)
-    return Beams(np.broadcast_to(LASER[:2], ends.shape).copy(), ends)
+    is_single = scan.features[:, 4] == 0.0
+    return Beams(np.broadcast_to(LASER[:2], ends.shape).copy(), ends, is_single)
 
 
 def test_beams_are_explained_where_they_were_taken(ground):
@@ -116,9 +117,21 @@ def test_beams_through_walls_and_into_free_space_lower_the_score(ground):
     through = explain(ground, beams, np.array([1.2, 0.2, 0.3]))
     assert through.through > 0.2
     ends = beams.starts + 0.4 * (beams.ends - beams.starts)
-    short = explain(ground, Beams(beams.starts, ends), np.array([-2.0, 1.0, 0.3]))
+    short = explain(ground, beams._replace(ends=ends), np.array([-2.0, 1.0, 0.3]))
     assert short.short > 0.6
     assert max(through.score, short.score) < 0.1
+
+
+def test_single_points_in_free_space_say_nothing(ground):
+    """They are on chair legs and people, or between two surfaces that share a beam."""
+    truth = np.array([-2.0, 1.0, 0.3])
+    beams = beams_of(truth)
+    short = np.arange(len(beams.ends)) % 3 == 0
+    beams.ends[short] = beams.starts[short] + 0.6 * (beams.ends[short] - beams.starts[short])
+    surface = explain(ground, beams._replace(is_single=np.zeros(len(short), np.bool_)), truth)
+    single = explain(ground, beams._replace(is_single=short), truth)
+    assert single.short == surface.short > 0.2
+    assert single.score == pytest.approx(surface.score + single.short, abs=0.02)
 
 
 def test_beams_that_end_in_unknown_space_have_no_effect(ground):

@@ -2,7 +2,9 @@
 
 A beam that ends on a wall supports the pose. One that would have passed through a wall contradicts it; one
 that ends in free space contradicts it less, because the object there may be new. One that ends in unknown
-space has no effect (the beam model of Thrun et al. 2005, 6.3, with its four causes).
+space has no effect (the beam model of Thrun et al. 2005, 6.3, with its four causes). Neither has a single
+point in free space: most beams pass the legs of chairs, so the map hardly shows them, and a beam that hits
+a leg and the wall behind it measures a range in between.
 """
 
 from __future__ import annotations
@@ -15,7 +17,7 @@ import numpy as np
 from impslam.geometry.kernels import kernel, plain
 from impslam.recognition.ground import FREE, SIDE, SOLID, Floats, Ground
 from impslam.recognition.pyramid import Bytes
-from impslam.types import Array
+from impslam.types import Array, Mask
 
 SIGMA = 0.08  # m, of a beam's end from the wall: range noise, cells of 5 cm, error of the map
 MAX_DISTANCE, MATCH_DISTANCE = 0.3, 0.12  # m from a wall, for a positive score, and for a match
@@ -35,10 +37,12 @@ class Beams(NamedTuple):
     ----------
     starts : (n, 2) m, position of the lidar
     ends : (n, 2) m
+    is_single : (n,) whether no neighbour ends on the same surface
     """
 
     starts: Array
     ends: Array
+    is_single: Mask
 
 
 class Explanation(NamedTuple):
@@ -89,7 +93,7 @@ def _explain(
         d = distance[row, column]
         if d < MAX_DISTANCE:
             sums[0] += math.exp(-d * d / (2.0 * SIGMA * SIGMA))
-        elif state[row, column] == FREE:
+        elif state[row, column] == FREE and not beams.is_single[i]:
             sums[0] += SHORT_SCORE
         if d < MATCH_DISTANCE:
             sums[1] += 1.0

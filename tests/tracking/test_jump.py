@@ -40,8 +40,12 @@ def shares(
     check=None,
     sensor="a",
     whole=False,
+    rates=None,
 ):
-    """Return the shares of scans at true poses; `people` gives the walls that each scan sees as well."""
+    """Return the shares of scans at true poses; `people` gives the walls that each scan sees as well.
+
+    `rates` are those at which the robot turns during sweeps of 0.1 s.
+    """
     rng, m = np.random.default_rng(1), len(poses)
     extra = [people[k] if len(people) else [] for k in range(m)]
     ranges = np.array(
@@ -50,14 +54,21 @@ def shares(
     ranges += 0.005 * rng.standard_normal(ranges.shape)
     wheels = poses if odometry is None else odometry
     d_pose = np.vstack((np.zeros(3), between(wheels[:-1], wheels[1:])))
-    points = np.zeros((m, len(ANGLES), 2))
+    points, directions = np.zeros((m, len(ANGLES), 2)), np.tile(ANGLES + GEOMETRY.laser[2], (m, 1))
+    if rates is not None:
+        turned = np.outer(rates, np.linspace(-0.05, 0.05, len(ANGLES)))
+        directions += turned
+        seen = np.arange(len(ANGLES)) + np.rint(turned / GEOMETRY.spacing).astype(int)
+        lost = (seen < 0) | (seen >= len(ANGLES))
+        ranges = np.take_along_axis(ranges, np.clip(seen, 0, len(ANGLES) - 1), 1)
+        ranges[lost] = np.inf
     valid = np.isfinite(ranges)
     check = check or JumpCheck()
     out = []
     for rows in (slice(0, cut), slice(cut, m)) if cut else (slice(0, m),):
         scans = Scans(
             np.arange(m)[rows] * interval, ANGLES, ranges[rows], valid[rows], points[rows],
-            ranges[rows], points[rows], ranges[rows], 0.0, 30.0, GEOMETRY.laser,
+            directions[rows], points[rows], ranges[rows], 0.0, 30.0, GEOMETRY.laser,
         )  # fmt: skip
         motions = Motions(
             scans.stamps, d_pose[rows], np.zeros((len(d_pose[rows]), 3, 3)),
@@ -82,6 +93,14 @@ def test_a_robot_that_drives_is_not_carried():
 def test_a_robot_that_turns_in_the_door_is_not_carried():
     turning = np.array([[2.9, 0.0, 0.05 * k] for k in range(80)])
     assert not shares(turning).any()
+
+
+def test_a_robot_that_weaves_is_not_carried():
+    """Sweeps of a turn are distorted: at 2.5 rad/s their ends by 7 deg, against those of the other turn."""
+    rates = np.where(np.arange(80) // 4 % 2, -2.5, 2.5)
+    poses = drive(80, (1.2, -1.2, 1.4))
+    poses[:, 2] += (np.cumsum(rates) - 0.5 * rates) / RATE - 0.5
+    assert not shares(poses, rates=rates).any()
 
 
 def test_a_carried_robot_is_found_in_the_first_scan_and_confirmed_by_the_second():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from impslam.tracking.reference_scan import Geometry, changed_beam
+from impslam.tracking.reference_scan import Geometry, changed_beam, ranges_at_once
 
 ANGLES = np.linspace(-1.0, 1.0, 201)
 WALL = 3.0 / np.cos(ANGLES)  # a wall across the path, 3 m ahead
@@ -37,3 +37,21 @@ def test_beams_in_one_direction_never_change(beams):
     points, ranges = np.tile([3.0, 0.0], (beams, 1)), np.full(beams, 3.0)
     same = Geometry(np.zeros(3), 0.0, 0.0)
     assert changed_beam(0, np.array([0.5, 0.0, 0.0]), points, ranges, same)[0] == -1
+
+
+@pytest.mark.parametrize("rate", [0.0, 2.5, -2.5])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_sweep_of_a_turn_is_as_if_taken_at_once(rate, sign):
+    """Ranges are a function of the direction; a sweep of 0.2 s is off by 14 deg at either end."""
+    nominal = sign * np.radians(np.arange(-120.0, 120.5, 0.5))
+    geometry = Geometry(
+        np.array([0.1, 0.0, 0.4]), float(nominal[0]), float(nominal[1] - nominal[0])
+    )
+    directions = nominal + 0.4 + rate * np.linspace(-0.1, 0.1, len(nominal))
+    seen = ranges_at_once(3.0 + np.sin(directions), directions, geometry)
+    expected = 3.0 + np.sin(nominal + 0.4)
+    covered = seen > 0.0
+    assert covered.mean() > 0.85
+    np.testing.assert_allclose(seen[covered], expected[covered], atol=0.025)
+    if rate == 0.0:
+        np.testing.assert_array_equal(seen, expected)

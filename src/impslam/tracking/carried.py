@@ -14,6 +14,7 @@ from impslam.health import CARRIED, CHANGED
 from impslam.tracking.base import Steps
 from impslam.tracking.jump import find_change, forget
 from impslam.tracking.matching_state import BeamColumns, State
+from impslam.tracking.reference_scan import ranges_at_once
 
 CERTAIN_SHARE = 0.15
 """Share of the beams that proves a change: more than a person a metre away covers."""
@@ -33,9 +34,8 @@ def notice_carried(beams: BeamColumns, k: int, state: State, duration: float, ou
     if past.place[0] != state.places[0]:  # this lidar has not seen the new place yet
         forget(past)
         past.place[0] = state.places[0]
-    share, extent, confirmed = find_change(
-        beams.ranges[k], state.pose, state.time[0], past, beams.geometry
-    )
+    ranges = ranges_at_once(beams.ranges[k], beams.directions[k], beams.geometry)
+    share, extent, confirmed = find_change(ranges, state.pose, state.time[0], past, beams.geometry)
     certain = share > CERTAIN_SHARE or (share > SPREAD_SHARE and extent > MIN_EXTENT)
     if certain and out.reasons[k] < CHANGED:
         out.reasons[k], out.amounts[k] = CHANGED, share

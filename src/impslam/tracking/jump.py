@@ -18,7 +18,13 @@ from impslam.geometry.chain import advance_pose
 from impslam.geometry.kernels import kernel, plain
 from impslam.tracking.contradictions import CLEARANCE, TURN_CLEARANCE, free_ranges
 from impslam.tracking.per_lidar import PerLidar
-from impslam.tracking.reference_scan import Geometry, geometry_of, laser_motion, seen_from
+from impslam.tracking.reference_scan import (
+    Geometry,
+    geometry_of,
+    laser_motion,
+    ranges_at_once,
+    seen_from,
+)
 from impslam.types import Array, Ints, Mask
 
 STATIC_TIME = 1.0
@@ -89,15 +95,16 @@ class JumpCheck:
         shares, confirmed, past = np.zeros(m), np.zeros(m, np.bool_), self._past.get(sensor, beams)
         ranges = plain(np.where(scans.valid, scans.ranges, 0.0))
         motion = plain(motions.d_pose), plain(motions.duration)
+        beams = ranges, plain(scans.directions)
         now, results = (self._pose, self._time), (shares, confirmed)
-        _find(motion, ranges, now, past, geometry_of(scans), results)
+        _find(motion, beams, now, past, geometry_of(scans), results)
         return results
 
 
 @kernel
 def _find(
     motions: tuple[Array, Array],
-    ranges: Array,
+    beams: tuple[Array, Array],
     now: tuple[Array, Array],
     past: PastScans,
     geometry: Geometry,
@@ -107,7 +114,8 @@ def _find(
     for k in range(len(d_pose)):
         advance_pose(pose, d_pose[k])
         time[0] += duration[k]
-        shares[k], _, confirmed[k] = find_change(ranges[k], pose, time[0], past, geometry)
+        ranges = ranges_at_once(beams[0][k], beams[1][k], geometry)
+        shares[k], _, confirmed[k] = find_change(ranges, pose, time[0], past, geometry)
 
 
 @kernel
@@ -116,8 +124,8 @@ def find_change(
 ) -> tuple[float, float, bool]:
     """Add a scan at a pose (3,) and time; return the change that it shows.
 
-    `ranges` (n,) are 0 where invalid. Returned are the share of the beams that show the change, 0 without
-    one; the extent of these points, m; and whether another scan confirms it.
+    `ranges` (n,) are as if taken at once, 0 where invalid. Returned are the share of the beams that show
+    the change, 0 without one; the extent of these points, m; and whether another scan confirms it.
     """
     judged, new = past.judged, past.added[0]
     past.added[0] += 1

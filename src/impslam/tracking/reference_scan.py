@@ -74,6 +74,28 @@ def beam_towards(direction: float, beams: int, geometry: Geometry) -> int:
 
 
 @kernel
+def ranges_at_once(ranges: Array, directions: Array, geometry: Geometry) -> Array:
+    """Return the ranges (n,) of a sweep in the directions of its beams as if taken at once, else 0.
+
+    A turn by 2.5 rad/s moves the beams at either end of a sweep of 0.1 s by 7 deg. `directions` (n,) rad
+    are those of the de-skewed sweep in base_link. Their offsets change slowly from beam to beam, so the
+    beam in a direction is found by the offset of the one that should have it, then of the one found.
+    """
+    n, out = len(ranges), np.zeros(len(ranges))
+    for k in range(n):
+        i = k
+        for _ in range(2 if geometry.spacing != 0.0 else 0):
+            off = directions[i] - geometry.laser[2] - geometry.first - i * geometry.spacing
+            off -= 2.0 * math.pi * math.floor(off / (2.0 * math.pi) + 0.5)
+            i = k - math.floor(off / geometry.spacing + 0.5)
+            if not 0 <= i < n:
+                break
+        if 0 <= i < n:
+            out[k] = ranges[i]
+    return out
+
+
+@kernel
 def laser_motion(before: Array, after: Array, geometry: Geometry) -> Array:
     """Return the pose (3,) of the laser after a motion of base_link, in its frame before."""
     first, second, motion = before.copy(), after.copy(), np.empty(3)

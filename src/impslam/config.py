@@ -32,8 +32,6 @@ from impslam.filters.base import Filter
 from impslam.landmarks.base import LandmarkModel
 from impslam.map import Map
 from impslam.maps.grid import MAX_RESOLUTION, MIN_RESOLUTION
-from impslam.noise import SystematicErrors
-from impslam.odometry.base import Odometry
 from impslam.parameters import Parameters
 from impslam.paths import is_file
 from impslam.robot import Robot
@@ -76,14 +74,16 @@ class Config(Parameters):
     )
     grid: Grid = parameter(Grid(), "", "the occupancy grid")
 
-    def make_robot(self) -> Robot:
-        """Return the robot with fresh sensors."""
-        odometry, systematic = self._split_odometry()
+    def make_robot(self, *, for_estimator: bool = False) -> Robot:
+        """Return the robot with fresh sensors.
+
+        For an estimator that considers the systematic errors of odometry, its motions are without them.
+        """
         return Robot(
             self.robot,
-            odometry,
+            build("odometry", self.odometry),
             {name: build("sensor", t, f"sensors.{name}") for name, t in self.sensors.items()},
-            systematic,
+            without_systematic=for_estimator and self._considers_systematic_errors(),
         )
 
     def make_tracker(self) -> Tracker:
@@ -92,17 +92,16 @@ class Config(Parameters):
         tracker.start(np.array(self.start), self.make_gate())
         return tracker
 
-    def _split_odometry(self) -> tuple[Odometry, SystematicErrors | None]:
-        """Return odometry, without the systematic errors if the filter considers them, and these.
+    def _considers_systematic_errors(self) -> bool:
+        """Return whether the filter considers the systematic errors of odometry.
 
         They need motions by odometry alone: scans that are matched correct most of the errors.
         """
-        odometry: Odometry = build("odometry", self.odometry)
         estimator: Estimator = build("estimator", self.estimator)
         belief: Filter = build("filter", self.filter)
         tracker: Tracker = build("tracker", self.tracker)
         considered = estimator.considers_systematic_errors and belief.considers_shared_errors
-        return odometry.split() if considered and not tracker.matches_scans else (odometry, None)
+        return considered and not tracker.matches_scans
 
     def make_gate(self) -> KeyframeGate:
         """Return which scans are keyframes."""

@@ -49,11 +49,12 @@ class Robot:
         name: str,
         odometry: Odometry,
         sensors: Mapping[str, Sensor],
-        systematic: SystematicErrors | None = None,
+        *,
+        without_systematic: bool = False,
     ) -> None:
-        """`systematic` are errors of odometry that its covariances do not contain."""
+        """`without_systematic` leaves these errors out of the covariances of motions; see `systematic`."""
         self.name, self.odometry, self.sensors = name, odometry, sensors
-        self._systematic = systematic
+        rest, self._systematic = odometry.split() if without_systematic else (odometry, None)
         self.counts: dict[str, int] = {}
         self.problems = Problems()
         fuses = odometry.gyro.use and odometry.measures_motion
@@ -64,7 +65,7 @@ class Robot:
         )
         self._gyro_since = END  # position in the log
         self._gyro = GyroFusion(odometry.gyro, odometry.lever, odometry.standstill_band.angle)
-        self._odometry_stream, self._synchroniser = OdometryStream(odometry), Synchroniser()
+        self._odometry_stream, self._synchroniser = OdometryStream(rest), Synchroniser()
         self._queue, self._clocks = PendingQueue(), StreamClocks()
         self._holding = Holding({n: getattr(s, "latency", 0.0) for n, s in sensors.items()})
         self._shift = 0.0  # s, from the newest odometry stamp to its time

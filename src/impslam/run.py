@@ -137,7 +137,8 @@ class Run:
         health: Standing = SOUND,
     ) -> None:
         self.config, self._health = config, HealthMonitor(health)
-        self.robot, self.tracker = config.make_robot(), config.make_tracker()
+        self.robot = config.make_robot(for_estimator=True)
+        self.tracker = config.make_tracker()
         self._watch = OdometryWatch(self.robot)
         self._observers = [self._health, self._watch, *observers]
         if begin is None:

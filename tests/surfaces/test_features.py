@@ -7,7 +7,7 @@ import pytest
 from tests.extractors.scans import cast, room, with_ranges
 from tests.rooms import MOUNTS, Mount, features_at
 
-from impslam.surfaces.features import beam_spacing, features, leave_out_oblique
+from impslam.surfaces.features import beam_spacing, features, find_features, leave_out_oblique
 
 ROOM = room(-2.0, 3.0, -1.5, 2.2)
 LASERS = [(0.0, 0.0, 0.0), (0.4, 0.2, 1.0), (-0.3, -0.25, math.pi)]
@@ -201,3 +201,10 @@ def test_the_noise_of_one_object_is_that_object():
     inside = slice(305, 325)
     assert (rows[inside, 4] == 0.0).all()
     assert np.mean(rows[:, 4] > 0.0) > 0.9
+
+
+def test_points_at_one_place_have_no_normal():
+    points, ranges = np.tile([[3.0, 1.0]], (5, 1)), np.full(5, np.hypot(3.0, 1.0))
+    out = np.empty((5, 5), np.float32)
+    count = find_features(points, ranges > 0.0, ranges, np.zeros((5, 2)), 0.0, 0.0, out)
+    np.testing.assert_array_equal(out[:count, 2:], np.zeros((5, 3)))

@@ -85,6 +85,7 @@ def find_features(
         max(MIN_GAP, NOISE_GAP * noise),
         max(ROUGHNESS, NOISE_ROUGHNESS * noise * noise),
     )
+    connected = _connected(points, valid, ranges, limits)
     for i in range(len(points)):
         if not valid[i]:
             continue
@@ -93,7 +94,7 @@ def find_features(
             continue
         last = i
         out[count, 0], out[count, 1] = x, y
-        nx, ny, weight = _normal(points, valid, ranges, origins, limits, i)
+        nx, ny, weight = _normal(points, valid, connected, ranges, origins, limits, i)
         out[count, 2], out[count, 3], out[count, 4] = nx, ny, weight
         count += 1
     return count
@@ -137,7 +138,7 @@ def _noise(points: Array, valid: Mask, ranges: Array, origins: Array, spacing: f
             continue
         ux, uy = points[i + 1, 0] - points[i - 1, 0], points[i + 1, 1] - points[i - 1, 1]
         dx, dy = points[i, 0] - origins[i, 0], points[i, 1] - origins[i, 1]
-        chord = math.hypot(ux, uy)
+        chord = math.sqrt(ux * ux + uy * uy)
         cosine = abs(dx * uy - dy * ux) / max(ranges[i] * chord, 1e-12)
         if chord > max(2.0 * MIN_GAP, GAP_BEAMS * ranges[i] * spacing) or cosine < MIN_NOISE_COSINE:
             continue
@@ -153,6 +154,7 @@ def _noise(points: Array, valid: Mask, ranges: Array, origins: Array, spacing: f
 def _normal(
     points: Array,
     valid: Mask,
+    connected: Mask,
     ranges: Array,
     origins: Array,
     limits: tuple[float, float, float],
@@ -162,55 +164,65 @@ def _normal(
 
     `limits` are the angle between beams, the minimum gap between surfaces in m, and the roughness in m^2.
     """
-    spacing, min_gap, roughness = limits
-    n, at_end, xx, xy, yy = _scatter(points, valid, ranges, spacing, min_gap, i)
+    spacing, _, roughness = limits
+    n, at_end, xx, xy, yy = _scatter(points, connected, i)
     if n < 3.0:
         return _single(points, valid, ranges, origins, spacing, i)
     x, y = points[i, 0], points[i, 1]
-    mean, half = 0.5 * (xx + yy), 0.5 * math.sqrt((xx - yy) ** 2 + 4.0 * xy * xy)
-    angle = 0.5 * math.atan2(2.0 * xy, xx - yy)
-    nx, ny = -math.sin(angle), math.cos(angle)
+    mean, difference = 0.5 * (xx + yy), 0.5 * (xx - yy)
+    half = math.sqrt(difference * difference + xy * xy)
+    flat = mean - half < FLATNESS * (mean + half) + roughness
+    if not flat or half == 0.0:
+        return 0.0, 0.0, 0.0
+    # The eigenvector of the smaller eigenvalue; of its two forms, the one that does not cancel.
+    nx, ny = (-xy, half + difference) if difference > 0.0 else (difference - half, xy)
+    length = math.sqrt(nx * nx + ny * ny)
+    nx, ny = nx / length, ny / length
     towards = (nx * (origins[i, 0] - x) + ny * (origins[i, 1] - y)) / ranges[i]
     if towards < 0.0:
         nx, ny, towards = -nx, -ny, -towards
-    flat = mean - half < FLATNESS * (mean + half) + roughness
-    if not flat:
-        return 0.0, 0.0, 0.0
     if towards <= MIN_INCIDENCE:
         return nx, ny, 0.0
     return nx, ny, 0.5 if at_end else 1.0
 
 
 @kernel
-def _scatter(
-    points: Array, valid: Mask, ranges: Array, spacing: float, min_gap: float, i: int
-) -> tuple[float, int, float, float, float]:
+def _connected(
+    points: Array, valid: Mask, ranges: Array, limits: tuple[float, float, float]
+) -> Mask:
+    """Return (n,) whether each point and that of the next beam are on one surface; see `_normal`."""
+    spacing, min_gap, _ = limits
+    out = np.zeros(len(points), np.bool_)
+    for i in range(len(points) - 1):
+        j = i + 1
+        gap = min(max(min_gap, GAP_BEAMS * min(ranges[i], ranges[j]) * spacing), MAX_GAP)
+        dx, dy = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1]
+        out[i] = valid[i] and valid[j] and dx * dx + dy * dy <= gap * gap
+    return out
+
+
+@kernel
+def _scatter(points: Array, connected: Mask, i: int) -> tuple[float, int, float, float, float]:
     """Return the scatter of point i and its neighbours on the same surface.
 
     The values are the number of points, that of sides without a neighbour, and the variances xx, xy, yy.
+    `connected` (n,) is whether a point and the next one are on one surface.
     """
     x, y = points[i, 0], points[i, 1]
     n, at_end = 1.0, 0
     sx = sy = xx = xy = yy = 0.0
     for step in (-1, 1):
-        before = i
-        for k in range(1, MAX_NEIGHBOURS + 1):
-            j = i + step * k
-            if j < 0 or j >= len(points) or not valid[j]:
-                break
-            gap = max(min_gap, GAP_BEAMS * min(ranges[j], ranges[before]) * spacing)
-            distance2 = (points[j, 0] - points[before, 0]) ** 2 + (
-                points[j, 1] - points[before, 1]
-            ) ** 2
-            if distance2 > min(gap, MAX_GAP) ** 2:
+        first = min(i, i + step)  # of the pair of neighbours
+        for k in range(MAX_NEIGHBOURS):
+            pair, j = first + step * k, i + step * (k + 1)
+            if pair < 0 or not connected[pair]:
                 break
             dx, dy = points[j, 0] - x, points[j, 1] - y
-            if k > 1 and dx * dx + dy * dy > NORMAL_RADIUS * NORMAL_RADIUS:
+            if k > 0 and dx * dx + dy * dy > NORMAL_RADIUS * NORMAL_RADIUS:
                 break
             n, sx, sy = n + 1.0, sx + dx, sy + dy
             xx, xy, yy = xx + dx * dx, xy + dx * dy, yy + dy * dy
-            before = j
-        at_end += before == i
+        at_end += first < 0 or not connected[first]
     return n, at_end, xx / n - (sx / n) ** 2, xy / n - sx * sy / n**2, yy / n - (sy / n) ** 2
 
 

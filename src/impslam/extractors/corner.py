@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from typing import TypeAlias
 
 import numpy as np
 
@@ -11,10 +11,14 @@ from impslam.component import parameter, register
 from impslam.extractors.line_segments import Segments
 from impslam.extractors.segmentation import beam_spacing
 from impslam.extractors.split_merge import StraightPieces, covariances
-from impslam.geometry.angles import wrap
+from impslam.geometry.angles import wrap_in_kernel
+from impslam.geometry.kernels import kernel
 from impslam.types import Array, Ints, Observation, Scan
 
 _NOISE = 3.0  # standard deviations
+_COLUMNS = (
+    11  # both pieces; x, y; covariance xx, xy, yy; error by the ranges' bias (2); angle, heading
+)
 
 
 @register("corner")
@@ -53,77 +57,124 @@ class Corner(StraightPieces):
         del rng
         segments, good = self._pieces(scan)
         P = covariances(segments, 0.0, self.flatness)
-        corners = [self._corner(segments, P, pair, scan) for pair in self._pairs(segments, good)]
-        return [corner for corner in corners if corner is not None]
+        limits = math.sin(self.min_angle), self.reach, self.max_sigma, beam_spacing(scan), scan.bias
+        rows = _find(segments, good, P, scan.sigmas, scan.laser, limits)
+        return [_corner(row, segments) for row in rows]
 
-    def _pairs(self, segments: Segments, first: Ints) -> Iterator[tuple[int, int]]:
-        """Return neighbouring pieces at an angle of at least `min_angle`."""
-        second = np.concatenate((first[1:], first[:1]))
-        alpha = segments.lines[:, 1]
-        steep = np.abs(np.sin(alpha[second] - alpha[first])) >= math.sin(self.min_angle)
-        return zip(first[steep].tolist(), second[steep].tolist(), strict=True)
 
-    def _corner(
-        self, segments: Segments, P: Array, pair: tuple[int, int], scan: Scan
-    ) -> Observation | None:
-        a, b = pair
-        one, two = segments.lines[a].tolist(), segments.lines[b].tolist()
-        c1, s1, c2, s2 = math.cos(one[1]), math.sin(one[1]), math.cos(two[1]), math.sin(two[1])
+def _corner(row: Array, segments: Segments) -> Observation:
+    """Return a row of `_find` as an observation."""
+    a, b = int(row[0]), int(row[1])
+    beams = np.concatenate((segments.beams(a), segments.beams(b)))
+    R = row[[4, 5, 5, 6]].reshape(2, 2)
+    shape = {"angle": float(row[9]), "heading": float(row[10])}
+    return Observation("corner", row[2:4].copy(), R, beams, None, shape, shared=row[7:9].copy())
+
+
+_Limits: TypeAlias = tuple[float, float, float, float, float]
+"""Smallest sine between the sides, largest distance of their ends from the corner (m), largest sigma of the
+corner (m), angle between beams (rad), standard deviation of the error common to all ranges (m)."""
+
+
+@kernel
+def _find(
+    segments: Segments, good: Ints, P: Array, sigmas: Array, laser: Array, limits: _Limits
+) -> Array:
+    """Return a row of `_COLUMNS` for each two neighbours among the pieces `good` (g,) that meet.
+
+    P (k, 2, 2) are the covariances of all pieces, and sigmas (n,) those of the beams.
+    """
+    out, count, lines = np.empty((len(good), _COLUMNS)), 0, segments.lines
+    for k in range(len(good)):
+        a, b = good[k], good[(k + 1) % len(good)]
+        if abs(math.sin(lines[b, 1] - lines[a, 1])) < limits[0]:
+            continue
+        row = out[count]
+        row[0], row[1] = a, b
+        c1, s1, c2, s2 = (
+            math.cos(lines[a, 1]), math.sin(lines[a, 1]), math.cos(lines[b, 1]), math.sin(lines[b, 1])
+        )  # fmt: skip
         det = c1 * s2 - s1 * c2
-        x, y = (s2 * one[0] - s1 * two[0]) / det, (c1 * two[0] - c2 * one[0]) / det
-        point = np.array([x, y])
-        sigma = float(scan.sigmas[segments.index[(segments.label == b).argmax()]])
+        row[2] = (s2 * lines[a, 0] - s1 * lines[b, 0]) / det
+        row[3] = (c1 * lines[b, 0] - c2 * lines[a, 0]) / det
+        noise = _NOISE * sigmas[segments.indices[np.argmax(segments.label == b)]]
         if not (
-            self._meets(point, segments.end_points[a, 1], (c1, s1), sigma, scan)
-            and self._meets(point, segments.end_points[b, 0], (c2, s2), sigma, scan)
+            _meets(row[2:4], segments.end_points[a, 1], (c1, s1), laser, noise, limits)
+            and _meets(row[2:4], segments.end_points[b, 0], (c2, s2), laser, noise, limits)
         ):
-            return None
-        # n . p = rho, so N dp = drho - (t . p) dalpha, with t the normal rotated left.
-        J = np.array(
-            [
-                [s2 / det, -s2 * (c1 * y - s1 * x) / det, -s1 / det, s1 * (c2 * y - s2 * x) / det],
-                [-c2 / det, c2 * (c1 * y - s1 * x) / det, c1 / det, -c1 * (c2 * y - s2 * x) / det],
-            ]
-        )
-        shared = scan.bias * (J @ np.array(one[5:7] + two[5:7]))
-        R: Array = np.outer(shared, shared)
-        for side, k in ((J[:, :2], a), (J[:, 2:], b)):
-            R += side @ P[k] @ side.T
-        if _largest_eigenvalue(R) > self.max_sigma**2:
-            return None
-        beams = np.concatenate((segments.beams(a), segments.beams(b)))
-        far_ends = np.array([segments.end_points[a, 0], segments.end_points[b, 1]])
-        shape = _shape(point, far_ends, scan.laser[:2])
-        return Observation("corner", point, R, beams, None, shape, shared=shared)
-
-    def _meets(
-        self, point: Array, end: Array, normal: tuple[float, float], sigma: float, scan: Scan
-    ) -> bool:
-        """Return whether a side ends at the intersection, within beam spacing and noise."""
-        dx, dy = float(end[0] - scan.laser[0]), float(end[1] - scan.laser[1])
-        distance = max(math.hypot(dx, dy), 1e-9)
-        cosine = abs(dx * normal[0] + dy * normal[1]) / distance
-        step = 2.0 * distance * beam_spacing(scan) / max(cosine, 0.1)
-        noise = _NOISE * sigma
-        gap = math.hypot(float(end[0] - point[0]), float(end[1] - point[1]))
-        return gap <= self.reach + step + noise
+            continue
+        _add_covariance(row, lines, P, (c1, s1, c2, s2), limits[4])
+        if _largest_eigenvalue(row[4], row[5], row[6]) > limits[2] ** 2:
+            continue
+        _add_shape(row, segments.end_points[a, 0], segments.end_points[b, 1], laser)
+        count += 1
+    return out[:count]
 
 
-def _largest_eigenvalue(R: Array) -> float:
+@kernel
+def _meets(
+    point: Array,
+    end: Array,
+    normal: tuple[float, float],
+    laser: Array,
+    noise: float,
+    limits: _Limits,
+) -> bool:
+    """Return whether a side ends at the intersection, within beam spacing and noise."""
+    dx, dy = end[0] - laser[0], end[1] - laser[1]
+    distance = max(math.hypot(dx, dy), 1e-9)
+    cosine = abs(dx * normal[0] + dy * normal[1]) / distance
+    step = 2.0 * distance * limits[3] / max(cosine, 0.1)
+    gap = math.hypot(end[0] - point[0], end[1] - point[1])
+    return bool(gap <= limits[1] + step + noise)
+
+
+@kernel
+def _add_covariance(
+    row: Array, lines: Array, P: Array, normals: tuple[float, float, float, float], bias: float
+) -> None:
+    """Fill in the covariance of the corner, and its error by the bias of the ranges."""
+    a, b, x, y = int(row[0]), int(row[1]), row[2], row[3]
+    c1, s1, c2, s2 = normals
+    det = c1 * s2 - s1 * c2
+    # n . p = rho, so N dp = drho - (t . p) dalpha, with t the normal rotated left.
+    arm_a, arm_b = c1 * y - s1 * x, c2 * y - s2 * x
+    J = np.array(
+        [
+            [s2 / det, -s2 * arm_a / det, -s1 / det, s1 * arm_b / det],
+            [-c2 / det, c2 * arm_a / det, c1 / det, -c1 * arm_b / det],
+        ]
+    )
+    for i in range(2):
+        of_a = J[i, 0] * lines[a, 5] + J[i, 1] * lines[a, 6]
+        row[7 + i] = bias * (of_a + J[i, 2] * lines[b, 5] + J[i, 3] * lines[b, 6])
+    for column, i, j in ((4, 0, 0), (5, 0, 1), (6, 1, 1)):
+        row[column] = row[7 + i] * row[7 + j]
+        for side, k in ((0, a), (2, b)):
+            for m in range(2):
+                for n in range(2):
+                    row[column] += J[i, side + m] * P[k, m, n] * J[j, side + n]
+
+
+@kernel
+def _largest_eigenvalue(xx: float, xy: float, yy: float) -> float:
     """Return the larger eigenvalue of a symmetric (2, 2) matrix."""
-    half = 0.5 * float(R[0, 0] + R[1, 1])
-    return half + math.hypot(0.5 * float(R[0, 0] - R[1, 1]), float(R[0, 1]))
+    return 0.5 * (xx + yy) + math.hypot(0.5 * (xx - yy), xy)
 
 
-def _shape(point: Array, far_ends: Array, laser: Array) -> dict[str, float]:
-    """Return the opening and the heading of the free space, which contains the laser."""
-    (ax, ay), (bx, by) = (far_ends - point).tolist()
-    lx, ly = (laser - point).tolist()
+@kernel
+def _add_shape(row: Array, end_a: Array, end_b: Array, laser: Array) -> None:
+    """Fill in the opening and the heading of the free space, which contains the laser.
+
+    The far ends of both sides and the laser are in base_link.
+    """
+    ax, ay, bx, by = end_a[0] - row[2], end_a[1] - row[3], end_b[0] - row[2], end_b[1] - row[3]
+    lx, ly = laser[0] - row[2], laser[1] - row[3]
     a, b = math.hypot(ax, ay), math.hypot(bx, by)
     cross = ax * by - ay * bx
     angle = abs(math.atan2(cross, ax * bx + ay * by))
     heading = math.atan2(ay / a + by / b, ax / a + bx / b)
     # In the wedge between the sides the laser is a positive combination of both.
     if (lx * by - ly * bx) * cross < 0.0 or (ax * ly - ay * lx) * cross < 0.0:
-        angle, heading = 2.0 * math.pi - angle, wrap(heading + math.pi)
-    return {"angle": angle, "heading": heading}
+        angle, heading = 2.0 * math.pi - angle, wrap_in_kernel(heading + math.pi)
+    row[9], row[10] = angle, heading

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,8 +23,7 @@ _LOOK_AHEAD = 6  # pieces to search for the continuation of a wall behind an obs
 _COLUMNS = 8  # columns of a fit: rho, alpha, rr, ra, aa, bias r, bias a, chi2
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Segments:
+class Segments(NamedTuple):
     """Straight pieces in beam order.
 
     Attributes
@@ -33,7 +32,7 @@ class Segments:
     end_points : (k, 2, 2) m, first and last point along increasing beam, on the line
     counts, lengths, reduced_chi2 : (k,) beams, m, chi2 per degree of freedom
     label : (m,) the piece each point of the cloud supports, or -1
-    index : (m,) beam of each point of the cloud
+    indices : (m,) beam of each point of the cloud
     """
 
     lines: Array
@@ -42,11 +41,11 @@ class Segments:
     lengths: Array
     reduced_chi2: Array
     label: Ints
-    index: Ints
+    indices: Ints
 
     def beams(self, k: int) -> Ints:
         """Return the beams on piece k, in order."""
-        beams: Ints = self.index[self.label == k]
+        beams: Ints = self.indices[self.label == k]
         return beams
 
 
@@ -59,12 +58,8 @@ def find_segments(cloud: Cloud, flatness: float, gap: float) -> Segments:
     flatness : m, standard deviation of a wall from a straight line
     gap : m, widest occlusion across which collinear pieces are one
     """
-    lines, ends, counts, label = _find(
-        cloud.points, cloud.beams, cloud.variances, cloud.starts, flatness, gap
-    )
-    lengths = np.hypot(ends[:, 1, 0] - ends[:, 0, 0], ends[:, 1, 1] - ends[:, 0, 1])
-    reduced = lines[:, 7] / np.maximum(counts - 2, 1)
-    return Segments(lines, ends, counts, lengths, reduced, label, cloud.index)
+    found = _find(cloud.points, cloud.beams, cloud.variances, cloud.starts, flatness, gap)
+    return Segments(*found, cloud.index)
 
 
 @kernel
@@ -254,8 +249,8 @@ def _merge(
 @kernel
 def _find(
     points: Array, beams: Array, variances: Array, starts: Ints, flatness: float, gap: float
-) -> tuple[Array, Array, Ints, Ints]:
-    """Split, merge and fit; return lines, end points, counts and labels."""
+) -> tuple[Array, Array, Ints, Array, Array, Ints]:
+    """Split, merge and fit; return the fields of `Segments` up to the labels."""
     flat2 = flatness * flatness
     pieces = split(points, beams, variances, starts, flat2)
     fits, label = _merge(points, beams, variances, flat2, pieces, gap)
@@ -276,4 +271,8 @@ def _find(
         ends[piece, side, 0] = points[k, 0] + distance * nx
         ends[piece, side, 1] = points[k, 1] + distance * ny
         counts[piece] += 1
-    return lines, ends, counts, label
+    lengths, reduced_chi2 = np.empty(len(keep)), np.empty(len(keep))
+    for k in range(len(keep)):
+        lengths[k] = math.hypot(ends[k, 1, 0] - ends[k, 0, 0], ends[k, 1, 1] - ends[k, 0, 1])
+        reduced_chi2[k] = lines[k, 7] / max(counts[k] - 2, 1)
+    return lines, ends, counts, lengths, reduced_chi2, label

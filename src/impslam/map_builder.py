@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from impslam.geometry.chain import advance
-from impslam.geometry.kernels import kernel, read_only
+from impslam.geometry.kernels import kernel
 from impslam.geometry.se2 import between, compose, motion_lengths
 from impslam.growing import GrowingArray
 from impslam.map import UPPER, Keyframe, Keyframes, Map, PathRows, Revision, Track, poses_in_map
@@ -140,9 +140,7 @@ class MapBuilder:
         keyframes, begin = self._keyframes, len(self) - m
         names = ("anchors", "tracked", "track_covariances")
         new = (self._sweeps[name].array[begin:] for name in names)
-        return poses_in_map(
-            *read_only(keyframes["poses"].array, keyframes["covariances"].array, *new)
-        )
+        return poses_in_map(keyframes["poses"].array, keyframes["covariances"].array, *new)
 
     def locate(self, stamp: float, T: Array, covariance: Array, odometry: Array) -> PathRows:
         """Return the pose after `T_keyframe_base` (3,) from the newest keyframe, without storing it."""

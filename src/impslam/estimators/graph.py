@@ -25,7 +25,7 @@ from impslam.estimators.keyframe_log import (
     revised,
 )
 from impslam.estimators.loop_closing import MIN_CONTRADICTIONS, LoopCloser, LoopSearch
-from impslam.estimators.map_scale import landmark_with_scale, revision_with_scale
+from impslam.estimators.map_scale import landmark_with_scale, with_scale
 from impslam.estimators.pose_graph import PoseGraph
 from impslam.estimators.restoring import restored
 from impslam.estimators.sessions import SessionPlacer
@@ -94,9 +94,6 @@ class Graph(Estimator):
 
     def add(self, keyframe: Keyframe) -> Revision:
         """Process a keyframe; see `Estimator.add`."""
-        return self._with_scale(self._add(keyframe))
-
-    def _add(self, keyframe: Keyframe) -> Revision:
         self._settled = self._final = None
         used, refused = _usable(keyframe)
         self._extend_chain(used, keyframe.motion)
@@ -116,14 +113,14 @@ class Graph(Estimator):
             "contradicted": bool(self._closer.contradicted),
         }
         if moved:
-            return replace(self._revise_all(self._graph), **facts)
+            return replace(self._with_scale(self._revise_all(self._graph)), **facts)
         pose, covariance = compose_uncertain(
             self._graph.poses[-1], self._graph.covariances[-1], *self._since
         )
         return Revision(
             np.array([keyframe.id]),
             pose[None],
-            covariance[None],
+            self._including_scale(covariance[None], pose[None]),
             placed=bool(self._graph.roots[-1] == 0),
             **facts,
         )
@@ -207,11 +204,15 @@ class Graph(Estimator):
         ids = np.arange(begin, len(poses))
         return Revision(ids, poses[begin:], covariances[begin:], placed=placed[begin:])
 
-    def _with_scale(self, revision: Revision) -> Revision:
-        """Return a revision whose covariances include that of the scale; those of a frozen map do."""
+    def _including_scale(self, covariances: Array, poses: Array) -> Array:
+        """Return covariances that include that of the scale; those of a frozen map do."""
         if self._known is not None:
-            return revision
-        return revision_with_scale(revision, self._graph.poses[0, :2], self.scale_sigma)
+            return covariances
+        return with_scale(covariances, poses, self._graph.poses[0, :2], self.scale_sigma)
+
+    def _with_scale(self, revision: Revision) -> Revision:
+        covariances = self._including_scale(revision.covariances, revision.poses)
+        return replace(revision, covariances=covariances)
 
     def settle(self) -> Revision | None:
         """Refine all keyframes jointly; see `Estimator.settle`."""

@@ -22,6 +22,8 @@ def with_scale(covariances: Array, poses: Array, origin: Array, sigma: float) ->
 
     `origin` (2,) m is the first position of the map, and `sigma` the standard deviation of the scale.
     """
+    if sigma == 0.0:
+        return covariances
     out, by_scale = covariances.copy(), sigma * (poses[:, :2] - origin)
     out[:, :2, :2] += by_scale[:, :, None] * by_scale[:, None, :]
     return out
@@ -29,8 +31,6 @@ def with_scale(covariances: Array, poses: Array, origin: Array, sigma: float) ->
 
 def revision_with_scale(revision: Revision, origin: Array, sigma: float) -> Revision:
     """Return a revision whose covariances include that of the scale; see `with_scale`."""
-    if sigma == 0.0:
-        return revision
     covariances = with_scale(revision.covariances, revision.poses, origin, sigma)
     return replace(revision, covariances=covariances)
 

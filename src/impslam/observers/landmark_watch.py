@@ -15,8 +15,6 @@ import math
 from collections import deque
 from collections.abc import Iterable
 
-import numpy as np
-
 from impslam.health import CARRIED, DISPLACED, DRIFTING, INCONSISTENT, NONE, SKIPPED
 from impslam.map import Keyframe, Revision
 from impslam.observers.correction_watch import CorrectionWatch
@@ -121,13 +119,15 @@ class LandmarkWatch:
 
 def is_located(seen: Iterable[Observation]) -> bool:
     """Return whether observations of known landmarks determine the position along both axes."""
-    information = np.zeros((2, 2))
+    xx = xy = yy = 0.0  # information about the position
     for one in seen:
         if one.end_points is None:
-            information += np.eye(2)
+            xx, yy = xx + 1.0, yy + 1.0
             continue
-        along = one.end_points[1] - one.end_points[0]
-        length2 = float(along @ along)
+        (x0, y0), (x1, y1) = one.end_points.tolist()
+        x, y = x1 - x0, y1 - y0
+        length2 = x * x + y * y
         if length2 > 0.0:
-            information += np.eye(2) - np.outer(along, along) / length2
-    return bool(np.linalg.eigvalsh(information)[0] >= MIN_INFORMATION)
+            xx, xy, yy = xx + y * y / length2, xy - x * y / length2, yy + x * x / length2
+    weakest = 0.5 * (xx + yy) - math.hypot(0.5 * (xx - yy), xy)
+    return weakest >= MIN_INFORMATION

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from tests.tracking.test_scan_to_map import circle, drive, odometry_of, scans_from, straight
 
+from impslam.health import ELSEWHERE, UNEXPLAINED
 from impslam.surfaces.surface_map import Alignment, add, align, empty_surface_map, no_evidence
 from impslam.tracking.hypotheses import (
     MAX_VELOCITY_CHANGE,
@@ -15,6 +16,7 @@ from impslam.tracking.hypotheses import (
     cost,
     is_expected,
 )
+from impslam.types import Increment
 
 MATCH = Alignment(14, 0.4, 0.06, 0.035**-2, 1, 9.0)
 SIGMAS = np.array([0.01, 0.01, 0.005])
@@ -111,6 +113,22 @@ def test_slips_are_followed(slip):
     error[40] = slip
     _, _, off = drive(poses, odometry_of(poses, error), scans_from(poses))
     assert np.hypot(off[-1, 0], off[-1, 1]) < 0.03
+
+
+@pytest.mark.parametrize("seconds", [0.1, 5.0])
+def test_after_a_gap_a_scan_that_fits_only_where_the_robot_was_is_not_matched(seconds):
+    """Odometry reports 3 m to a room that looks the same; at once, it would be a slip."""
+    poses = np.vstack((straight(20), np.tile(straight(20)[-1], (10, 1))))
+    increments = odometry_of(poses)
+    increments[20] = Increment(5.0, np.array([3.0, 0.0, 0.0]), 0.03 * np.eye(3), seconds)
+    _, out, _ = drive(poses, increments, scans_from(poses))
+    if seconds < 1.0:
+        np.testing.assert_allclose(out.d_pose[20], 0.0, atol=0.01)
+        assert (out.reasons < UNEXPLAINED).all()
+    else:
+        np.testing.assert_allclose(out.d_pose[20], [3.0, 0.0, 0.0], atol=0.01)
+        assert (out.reasons[20:24] == UNEXPLAINED).all()
+        assert (out.reasons == ELSEWHERE).any()
 
 
 def test_a_robot_that_stops_at_once_is_where_it_stopped():

@@ -2,7 +2,7 @@
 
 Alignment finds the pose nearest to its start. In doubt it also starts elsewhere, and the most
 probable pose is kept: by the points that fit, and by odometry, which is either right within its noise or,
-seldom, slipped.
+seldom, slipped a little.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 from impslam.geometry.algebra import between
 from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.kernels import kernel
+from impslam.noise import UNKNOWN
 from impslam.surfaces.features import Features
 from impslam.surfaces.surface_map import (
     Alignment,
@@ -31,8 +32,12 @@ accelerate by less than 2 m/s^2 and 5 rad/s^2, over 0.2 s at most."""
 MAX_CHI2 = 7.8
 """95 % quantile of three degrees of freedom: a match farther from odometry may be a wrong minimum."""
 SLIP_PROBABILITY = 1e-3
-"""Share of matches preceded by a slip: ten in an hour. A slip is uniform within 0.5 m and 0.5 rad, a
-volume of 1 m^2 rad."""
+"""Share of matches preceded by a slip: ten in an hour. A slip is uniform within `MAX_SLIP`, a volume of
+1 m^2 rad."""
+MAX_SLIP = (0.5, 0.5)
+"""m, rad: largest slip. A scan that only fits farther from all predictions shows another place."""
+SLIP_SIGMAS = 3.0
+"""Standard deviations of odometry's own error that are added to it."""
 SEARCH_HEADINGS, SEARCH_TURN, SEARCH_OFFSET = 9, 0.06, 0.25
 """Number of headings, rad between them, and m of the offsets to try around each prediction."""
 SEARCH_PRIOR_WEIGHT = 0.1
@@ -46,7 +51,8 @@ class Prediction(NamedTuple):
     ----------
     pose : by odometry
     information : (3,) of it, 1/m^2, 1/m^2, 1/rad^2, unless odometry slipped
-    last, extrapolated : at the newest match, and from there at constant velocity
+    last, extrapolated : at the newest match, and from there at constant velocity; after a gap in the data,
+        in which the robot may have gone anywhere, by odometry as well
     usual : the usual inlier share
     """
 
@@ -79,14 +85,29 @@ def is_expected(pose: Array, predicted: Prediction) -> bool:
 
 
 @kernel
+def is_possible(pose: Array, predicted: Prediction) -> bool:
+    """Return whether a pose (3,) is within a slip, and odometry's own error, of one of the predictions."""
+    a = predicted.information
+    reach = MAX_SLIP[0] + SLIP_SIGMAS / math.sqrt(max(a[0], 1.0 / UNKNOWN))
+    turn = MAX_SLIP[1] + SLIP_SIGMAS / math.sqrt(max(a[2], 1.0 / UNKNOWN))
+    for at in (predicted.pose, predicted.last, predicted.extrapolated):
+        near = math.hypot(pose[0] - at[0], pose[1] - at[1]) <= reach
+        if near and abs(wrap_in_kernel(pose[2] - at[2])) <= turn:
+            return True
+    return False
+
+
+@kernel
 def cost(pose: Array, predicted: Prediction, match: Alignment, evidence: FitSums) -> float:
-    """Return the negative log probability of a pose, up to a constant.
+    """Return the negative log probability of a pose, up to a constant; inf if it is not possible.
 
     The part of the points is the Geman-McClure cost that alignment minimises: the squared scale for each
     outlier. Outliers up to their usual share do not count: they show what the map does not contain yet, and
     a pose without motion would leave the fewest of them. The part of odometry is that of a prior with heavy
     tails, or of a slip.
     """
+    if not is_possible(pose, predicted):
+        return math.inf
     missing = max(predicted.usual * evidence.sums[0] - evidence.sums[1], 0.0)
     points = match.information * match.narrow**2 * missing
     gaussian = match.slack2 * math.log(1.0 + chi2_of(pose, predicted) / match.slack2)
@@ -113,6 +134,10 @@ def align_from_predictions(
     best, other = pose.copy(), np.empty(3)
     prior = predicted.information * SEARCH_PRIOR_WEIGHT
     lowest = cost(pose, predicted, match, evidence)
+    if lowest == math.inf:
+        best[:] = predicted.pose
+        normal_equations(submap, features, best, match.narrow, match.step, evidence)
+        lowest = cost(best, predicted, match, evidence)
     near = Alignment(
         match.iterations, match.narrow, match.narrow, match.information, match.step, match.slack2
     )
@@ -155,7 +180,7 @@ def search(
                 other[1] += SEARCH_OFFSET * ((offset == 3) - (offset == 4))
                 align(submap, features, other, prior, coarse, evidence)
                 share = align(submap, features, other, prior, fine, evidence)
-                if share > min_share:
+                if share > min_share and is_possible(other, predicted):
                     best[:], min_share = other, share
     normal_equations(submap, features, best, match.narrow, match.step, evidence)
     if cost(best, predicted, match, evidence) > old_cost:

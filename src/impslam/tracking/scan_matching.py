@@ -337,9 +337,7 @@ def _find_pose(features: Features, state: State, settings: Settings, H: Array, W
     weight *= min(1.0, USUAL_RMS**2 / state.averages[1])
     how = settings.match
     match = Alignment(how.iterations, how.wide, how.narrow, weight, how.step, slack2)
-    extrapolated = state.matched.copy()
-    advance_pose(extrapolated, state.velocity)
-    predicted = Prediction(state.pose.copy(), prior, state.matched, extrapolated, usual)
+    predicted = _predictions(state, prior)
     share = align(submap, features, state.pose, prior, match, state.evidence)
     if not is_expected(state.pose, predicted):
         share = align_from_predictions(
@@ -354,3 +352,14 @@ def _find_pose(features: Features, state: State, settings: Settings, H: Array, W
     H[:] = weight * state.evidence.H
     W[:] = prior / (1.0 + chi2 / slack2)
     return share
+
+
+@kernel
+def _predictions(state: State, prior: Array) -> Prediction:
+    """Return the predicted poses of a scan; `prior` (3,) is the information of that by odometry."""
+    pose, usual = state.pose.copy(), state.averages[0]
+    if is_gap(state.travelled[2], state.averages[3], WINDOW):
+        return Prediction(pose, prior, pose, pose, usual)
+    extrapolated = state.matched.copy()
+    advance_pose(extrapolated, state.velocity)
+    return Prediction(pose, prior, state.matched, extrapolated, usual)

@@ -66,7 +66,7 @@ _DESCRIPTIONS = (
     "the robot moves, the wheels do not; the pose follows the scans",
     "the wheels turn, the robot does not; the pose follows the scans",
     "odometry and scans turn opposite ways: wheels are swapped, or the lidar is mirrored",
-    "no data for {0:.0f} s, and the robot has moved; the position is uncertain",
+    "no data of odometry or of sensors for {0:.0f} s, and the robot has moved; the position is uncertain",
     "{1:.0f} % of the scan has changed at once; the position is uncertain",
     "{1:.0f} % of the scan has changed at once, as if the robot was carried; the position is uncertain",
     "landmarks correct odometry to one side all the time: the wheels slip, or parameters are wrong",

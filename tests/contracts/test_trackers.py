@@ -11,7 +11,7 @@ from tests.tracking.sweeps import motions_of, sweeps_of
 from impslam.columns import Sweeps
 from impslam.component import components
 from impslam.geometry.se2 import between, compose, exp
-from impslam.health import NONE, SKIPPED
+from impslam.health import NONE, SKIPPED, UNEXPLAINED
 from impslam.tracking.base import KeyframeGate
 from impslam.types import Increment
 
@@ -224,4 +224,5 @@ def test_motion_during_a_gap_is_reported(make):
             found |= dict(zip(range(track.rows.start, track.rows.stop), track.reasons, strict=True))
             if track.keyframe is not None:
                 found[track.keyframe.row] = track.keyframe.reason
-        assert (found[20] == SKIPPED) == (reason == SKIPPED)
+        # The scan does not show the motion: to a tracker that matches scans, it does not fit either.
+        assert (found[20] in (SKIPPED, UNEXPLAINED)) == (reason == SKIPPED)

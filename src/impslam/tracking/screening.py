@@ -17,12 +17,16 @@ from impslam.tracking.covered import Cover, hidden_beams, initial_cover
 from impslam.tracking.intervals import is_gap, updated_interval
 from impslam.tracking.per_lidar import PerLidar
 from impslam.tracking.scan_stream import StreamState, check_stream, initial_stream_state
-from impslam.types import Array, Mask
+from impslam.types import Array
 
 MAX_COVERED = 0.2
 """Share of the valid beams; if more are covered, this is a reason for degraded health."""
 MIN_MOTION = (0.2, 0.2)
 """m, rad: motion during a gap that matters."""
+MAX_SILENCE = 1.0
+"""s for which sweeps may come without odometry: sweeps wait for it, and slow odometry has 1 Hz."""
+MIN_SILENT_SWEEPS = 3
+"""Sweeps that must come in that time: a single stamp may jump."""
 _REPEATED = (
     "the scan at {:.3f} s equals the one before bit for bit, although odometry has moved; it is left out: "
     "the lidar, its driver or the network hangs"
@@ -46,8 +50,7 @@ class Screening:
 
     def __init__(self) -> None:
         self._lidars = PerLidar(_no_scans)
-        # usual interval between the sweeps of each sensor, (1,) s
-        self._intervals: dict[str, Array] = {}
+        self._gaps: dict[str, Array] = {}  # see `_find_gaps`, of the sweeps of each sensor
 
     def screen(self, motions: Motions, sweeps: Sweeps, problems: Problems) -> Screened:
         """Screen the next sweeps of a sensor; `motions` are by odometry, before each."""
@@ -55,9 +58,9 @@ class Screening:
         reasons, amounts = np.zeros(m, np.int8), np.zeros(m)
         if sweeps.scans is not None:
             sweeps = self._screen_lidar(motions, sweeps, reasons, amounts, problems)
-        usual = self._intervals.setdefault(sweeps.sensor, np.zeros(1))
-        skipped = _skipped(motions, usual)
-        reasons[skipped], amounts[skipped] = SKIPPED, motions.duration[skipped]
+        gaps = _find_gaps(motions, self._gaps.setdefault(sweeps.sensor, np.zeros(4)))
+        skipped = gaps > 0.0
+        reasons[skipped], amounts[skipped] = SKIPPED, gaps[skipped]
         return Screened(sweeps, reasons, amounts)
 
     def _screen_lidar(
@@ -92,13 +95,25 @@ def _no_scans(beams: int) -> tuple[StreamState, Cover]:
 
 
 @kernel
-def _skipped(motions: Motions, usual: Array) -> Mask:
-    """Return which motions (m,) happened during a gap in the data; update the usual interval (1,) s."""
-    out = np.zeros(len(motions.stamps), np.bool_)
+def _find_gaps(motions: Motions, state: Array) -> Array:
+    """Return the gap (m,) s in the data before each sweep in which the robot has moved; 0 without one.
+
+    It is a gap in all data, or in odometry alone, in which the robot may have gone on at its last speed.
+    `state` (4,) is updated: the usual interval between sweeps, s; the middle of the last sweep, s; the time
+    since the last odometry, s; and the speed then, in multiples of `MIN_MOTION` per s.
+    """
+    out = np.zeros(len(motions.stamps))
     for k in range(len(out)):
         x, y, turn = motions.d_pose[k]
-        moved = math.hypot(x, y) > MIN_MOTION[0] or abs(turn) > MIN_MOTION[1]
-        seconds = motions.duration[k]
-        out[k] = moved and is_gap(seconds, usual[0], MAX_GAP)
-        usual[0] = updated_interval(usual[0], seconds)
+        moved = max(math.hypot(x, y) / MIN_MOTION[0], abs(turn) / MIN_MOTION[1])
+        seconds, elapsed = motions.duration[k], motions.stamps[k] - state[1]
+        if seconds > 0.0:
+            state[2], state[3] = 0.0, moved / seconds
+        else:
+            state[2] += min(max(elapsed, 0.0), MAX_SILENCE / MIN_SILENT_SWEEPS)
+        if moved > 1.0 and is_gap(seconds, state[0], MAX_GAP):
+            out[k] = seconds
+        elif state[2] > MAX_SILENCE and state[2] * state[3] > 1.0:
+            out[k] = state[2]
+        state[0], state[1] = updated_interval(state[0], seconds), motions.stamps[k]
     return out

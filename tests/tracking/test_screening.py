@@ -1,0 +1,52 @@
+"""Odometry that falls silent while scans go on: the robot may have gone on."""
+
+import numpy as np
+import pytest
+from tests.extractors.scans import cast, room
+from tests.tracking.sweeps import motions_of, sweeps_of
+
+from impslam.health import NONE, SKIPPED
+from impslam.sources.base import Problems
+from impslam.tracking.screening import MAX_SILENCE, Screening
+from impslam.types import Increment
+
+PERIOD, SPEED, SILENT = 0.1, 0.4, 20
+SCAN = cast(room(-3.0, 6.0, -2.0, 2.5), angles=np.linspace(-1.0, 1.0, 20)).scan
+
+
+def reasons(speeds, cut=None):
+    """Return the reasons of sweeps with odometry at these speeds (m,), m/s; NaN: without odometry."""
+    stamps = PERIOD * np.arange(len(speeds))
+    increments = [
+        Increment(t, np.array([np.nan_to_num(v) * PERIOD, 0.0, 0.0]), np.zeros((3, 3)), s)
+        for t, v, s in zip(stamps, speeds, np.where(np.isnan(speeds), 0.0, PERIOD), strict=True)
+    ]
+    screening, parts = Screening(), (slice(0, cut), slice(cut, None)) if cut else (slice(None),)
+    motions, sweeps = motions_of(increments), sweeps_of([SCAN] * len(stamps), stamps)
+    found = [screening.screen(motions.take(p), sweeps.take(p), Problems()) for p in parts]
+    return np.concatenate([one.reasons for one in found])
+
+
+@pytest.mark.parametrize("cut", [None, 22, 35])
+def test_odometry_that_falls_silent_while_the_robot_moves_is_reported_until_it_returns(cut):
+    speeds = np.full(60, SPEED)
+    speeds[SILENT:45] = np.nan
+    found, late = reasons(speeds, cut), round(MAX_SILENCE / PERIOD) + 1
+    assert (found[SILENT + late : 45] == SKIPPED).all()
+    assert not (found[: SILENT + late - 2] == SKIPPED).any()
+    assert not (found[45:] == SKIPPED).any()
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.02])
+def test_a_robot_that_stood_may_be_silent(speed):
+    """At 2 cm/s it goes less than 20 cm in the time."""
+    speeds = np.full(60, speed)
+    speeds[SILENT:] = np.nan
+    assert (reasons(speeds) == NONE).all()
+
+
+def test_slow_odometry_is_not_silent():
+    """Every tenth sweep gets the motion of a second."""
+    speeds = np.full(60, np.nan)
+    speeds[::10] = 10.0 * SPEED
+    assert not (reasons(speeds) == SKIPPED).any()

@@ -77,6 +77,23 @@ def test_a_corridor_fixes_the_heading_and_the_position_across_it():
     assert sigma[1:].max() < 0.03
 
 
+def test_an_aisle_is_not_moved_through_its_shelf():
+    """The next aisle is 4.2 m away. Moved by the depth of the shelf, its back would be its front."""
+    shelves = [
+        room(x, x + 10.0, y, y + 1.15) for x in (-3.4, 9.7) for y in (-6.85, -2.65, 1.55, 5.75)
+    ]
+    shop = np.concatenate([walls([-8.5, -20, -8.5, 20]), *shelves])
+    there, back = way(-5.0, 0.0, 7.0, 0.0, 16), way(1.0, 4.2, -3.0, 4.2, 9)
+    reference = place(shop, there, there[8], REFERENCE_CELL)
+    query = place(shop, back, back[4], QUERY_CELL, seed=1)
+    truth, recogniser = between(there[8], back[4]), Recogniser()
+    for off in (0.0, 0.4, -0.4):
+        guess = truth + np.array([off, off, 0.0])
+        closure = recogniser.close(reference, query, guess, Window(2.4, 2.4, 0.4))
+        if closure is not None:
+            assert_at(closure, truth, metres=0.3)
+
+
 def test_a_corridor_leaves_open_where_along_it():
     there, back = way(-3.0, 0.0, 3.0, 0.0, 8), way(1.0, 0.1, -1.0, 0.1, 5)
     reference = place(CORRIDOR, there, there[4], REFERENCE_CELL)

@@ -5,6 +5,9 @@ The score of a pose is the mean likelihood of the points (Olson 2009, Eq. 5, wit
 product). Poses on the raster of the grid, with a fixed step of heading, are searched by branch and bound
 (Hess et al. 2016, Alg. 3): level l of the pyramid holds the maximum likelihood of 2^l x 2^l cells, so that
 one sum bounds the scores of as many poses. The result is that of an exhaustive search.
+
+Only the score of a single pose takes into account which side of a surface a point is on. The bounds do not:
+they are bounds of that score, too.
 """
 
 from __future__ import annotations
@@ -16,7 +19,15 @@ import numpy as np
 
 from impslam.geometry.angles import wrap, wrap_in_kernel
 from impslam.geometry.kernels import kernel, plain
-from impslam.recognition.pyramid import CELL, FULL, Bytes, Ints32, Pyramid
+from impslam.recognition.pyramid import (
+    CELL,
+    DIRECTIONS,
+    FULL,
+    Bytes,
+    Ints32,
+    Pyramid,
+    direction_of,
+)
 from impslam.surfaces.features import Features
 from impslam.types import Array, Ints
 
@@ -31,6 +42,14 @@ class Window(NamedTuple):
     x: float
     y: float
     heading: float
+
+
+class _Rotated(NamedTuple):
+    """Points (a, n) at the guess, rotated to each heading: columns, rows, and directions of normals."""
+
+    columns: Ints32
+    rows: Ints32
+    directions: Ints32
 
 
 class Peak(NamedTuple):
@@ -59,7 +78,7 @@ def search(
 
     Parameters
     ----------
-    points : (n, 2 or more columns) x, y in m in the frame to be located
+    points : features (n, 5) in the frame to be located
     exclude : a pose (3,); poses within `SEPARATION` and `HEADING_SEPARATION` of it are excluded
     turn : rad, step between headings; a window of pi or more is a full circle in equal steps
     """
@@ -111,8 +130,8 @@ def _search(
     shifts to exclude: centre (2,), heading in rad and radius in cells.
     """
     centre, heading, radius = excluded
-    columns, rows = _cells(pyramid, points, guess, headings)
-    starts = _bounds(pyramid, columns, rows, max_shift, min_sum)
+    rotated = _rotate(pyramid, points, guess, headings)
+    starts = _bounds(pyramid, rotated, max_shift, min_sum)
     block = 1 << (len(pyramid.levels) - 1)
     wide, high = 2 * max_shift[0] // block + 1, 2 * max_shift[1] // block + 1
     best, at, u, v = min_sum, -1, 0, 0
@@ -135,46 +154,42 @@ def _search(
                 ]
             )
             r = radius if abs(wrap_in_kernel(headings[a] - heading)) < HEADING_SEPARATION else 0.0
-            total, x, y = _descend(
-                pyramid.levels, columns[a], rows[a], max_shift, node, best, (centre, r)
-            )
+            total, x, y = _descend(pyramid, rotated, a, max_shift, node, best, (centre, r))
             if total > best:
                 best, at, u, v = total, a, x, y
     return best, at, u, v
 
 
 @kernel
-def _cells(
-    pyramid: Pyramid, points: Features, guess: Array, headings: Array
-) -> tuple[Ints32, Ints32]:
-    """Return the columns and rows (a, n) of the points at the guess, rotated to each heading."""
+def _rotate(pyramid: Pyramid, points: Features, guess: Array, headings: Array) -> _Rotated:
+    """Return features (n, 5) at the guess, rotated to each heading."""
     columns = np.empty((len(headings), len(points)), np.int32)
-    rows = np.empty_like(columns)
+    rows, directions = np.empty_like(columns), np.empty_like(columns)
     x0, y0 = guess[0] - pyramid.corner[0], guess[1] - pyramid.corner[1]
     for a in range(len(headings)):
         c, s = math.cos(headings[a]), math.sin(headings[a])
         for i in range(len(points)):
-            x, y = points[i, 0], points[i, 1]
+            x, y, nx, ny, weight = points[i]
             columns[a, i] = math.floor((x0 + c * x - s * y) / CELL)
             rows[a, i] = math.floor((y0 + s * x + c * y) / CELL)
-    return columns, rows
+            directions[a, i] = direction_of(c * nx - s * ny, s * nx + c * ny, weight)
+    return _Rotated(columns, rows, directions)
 
 
 @kernel
-def _bounds(
-    pyramid: Pyramid, columns: Ints32, rows: Ints32, max_shift: Ints, min_sum: int
-) -> Ints32:
+def _bounds(pyramid: Pyramid, rotated: _Rotated, max_shift: Ints, min_sum: int) -> Ints32:
     """Return the bounds of the initial blocks of a search, by heading, row and column."""
     top = len(pyramid.levels) - 1
     block = 1 << top
     wide, high = 2 * max_shift[0] // block + 1, 2 * max_shift[1] // block + 1
-    bounds = np.empty(len(columns) * wide * high, np.int32)
+    bounds = np.empty(len(rotated.columns) * wide * high, np.int32)
     k = 0
-    for a in range(len(columns)):
+    for a in range(len(rotated.columns)):
+        columns, rows = rotated.columns[a], rotated.rows[a]
         for row in range(high):
             for column in range(wide):
                 u, v = column * block - max_shift[0], row * block - max_shift[1]
-                bounds[k] = _sum(pyramid.levels[top], columns[a], rows[a], u, v, min_sum)
+                bounds[k] = _sum(pyramid.levels[top], columns, rows, u, v, min_sum)
                 k += 1
     return bounds
 
@@ -195,10 +210,24 @@ def _sum(level: Bytes, columns: Ints32, rows: Ints32, u: int, v: int, min_sum: i
 
 
 @kernel
+def _score(pyramid: Pyramid, rotated: _Rotated, a: int, u: int, v: int) -> int:
+    """Return the sum over the points of heading a, shifted: of their likelihoods on their own sides."""
+    _, height, width = pyramid.facing.shape
+    total = 0
+    for i in range(rotated.columns.shape[1]):
+        c, r = rotated.columns[a, i] + u, rotated.rows[a, i] + v
+        if 0 <= c < width and 0 <= r < height:
+            direction = rotated.directions[a, i]
+            known = direction < DIRECTIONS
+            total += pyramid.facing[direction, r, c] if known else pyramid.levels[0, r, c]
+    return total
+
+
+@kernel
 def _descend(
-    levels: Bytes,
-    columns: Ints32,
-    rows: Ints32,
+    pyramid: Pyramid,
+    rotated: _Rotated,
+    a: int,
     max_shift: Ints,
     node: Ints,
     best: int,
@@ -206,8 +235,10 @@ def _descend(
 ) -> tuple[int, int, int]:
     """Return the best sum beyond `best` in a block, and its shift; search the likeliest quarter first.
 
-    `node` (4,) is a block: its level, its first shift u, v, and its bound.
+    The points are those of heading `a`. `node` (4,) is a block: its level, its first shift u, v, and its
+    bound.
     """
+    levels, columns, rows = pyramid.levels, rotated.columns[a], rotated.rows[a]
     stack = np.empty((3 * len(levels) + 4, 4), np.int64)
     stack[0] = node
     size, u, v = 1, 0, 0
@@ -217,7 +248,9 @@ def _descend(
         if bound <= best or _is_excluded(x, y, 1 << level, excluded):
             continue
         if level == 0:
-            best, u, v = bound, x, y
+            total = _score(pyramid, rotated, a, x, y)
+            if total > best:
+                best, u, v = total, x, y
             continue
         first, half = size, 1 << (level - 1)
         for quarter in range(4):

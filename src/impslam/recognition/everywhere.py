@@ -20,8 +20,8 @@ from impslam.geometry.angles import wrap
 from impslam.geometry.kernels import kernel
 from impslam.recognition.bucket_queue import BucketQueue, empty_queue, pop, push
 from impslam.recognition.correlative import spread_order
-from impslam.recognition.ground import CHANCE, DIRECTIONS, SECTOR, Ground
-from impslam.recognition.pyramid import CELL, FULL, Bytes, Ints32
+from impslam.recognition.ground import CHANCE, Ground
+from impslam.recognition.pyramid import CELL, FULL, Bytes, Ints32, direction_of
 from impslam.surfaces.features import Features
 from impslam.types import Array, Ints
 
@@ -134,9 +134,7 @@ def _rotated(points: Array) -> Ints32:
         c, s = math.cos(angle), math.sin(angle)
         for i in range(len(points)):
             x, y, nx, ny, weight = points[i]
-            facing = math.atan2(s * nx + c * ny, c * nx - s * ny)
-            sector = math.floor(facing / SECTOR + 0.5) % DIRECTIONS
-            out[a, i, 0] = sector if weight > 0.0 else DIRECTIONS
+            out[a, i, 0] = direction_of(c * nx - s * ny, s * nx + c * ny, weight)
             out[a, i, 1] = math.floor((c * x - s * y) / CELL + 0.5)
             out[a, i, 2] = math.floor((s * x + c * y) / CELL + 0.5)
     return out

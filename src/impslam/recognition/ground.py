@@ -17,7 +17,15 @@ from impslam.geometry.se2 import transform
 from impslam.map import Keyframes
 from impslam.maps.grid import BALANCED, OccupancyGrid
 from impslam.recognition.free_ranges import MAX_RANGE
-from impslam.recognition.pyramid import CELL, FULL, Bytes, draw, pool
+from impslam.recognition.pyramid import (
+    CELL,
+    DIRECTIONS,
+    FULL,
+    SECTOR,
+    Bytes,
+    draw,
+    pool,
+)
 from impslam.recognition.submap import View
 from impslam.surfaces.surface_map import SurfaceMap, add, empty_surface_map
 from impslam.types import Array, Mask
@@ -32,7 +40,6 @@ SOLID_LOG_ODDS = 2.9 * BALANCED.hit
 CHANCE = 0.1
 """Likelihood of a point in unknown space: an object is as likely there as within the Gaussian around the
 walls of a room, which covers a tenth of it."""
-DIRECTIONS, SECTOR = 4, math.pi / 2.0  # rad: normals are classified by the four sides of a room
 MIN_FACING = math.cos(0.5 * SECTOR + math.radians(20.0))
 """Cosine: normals of a scan and of the map may differ by 20 degrees and still have the same direction."""
 OTHER_DIRECTION = 0.6

@@ -2,7 +2,8 @@
 
 A cell holds the likelihood of a point there: a Gaussian around the points of a reference. Level l of the
 pyramid holds the maximum likelihood of 2^l x 2^l cells, so that one sum bounds the scores of as many poses
-(Hess et al. 2016, Alg. 3).
+(Hess et al. 2016, Alg. 3). The likelihood of a point with a normal takes the side of the surface into
+account: the back of a shelf is not its front.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ Ints32: TypeAlias = np.ndarray[Any, np.dtype[np.int32]]
 CELL = 0.1  # m
 BLUR = 0.12  # m, of the Gaussian: range noise, and rounding of poses by half a cell
 FULL = 255  # likelihood 1
+DIRECTIONS, SECTOR = 4, math.pi / 2.0  # rad: normals are classified by the four sides of a room
 
 
 class Pyramid(NamedTuple):
@@ -29,12 +31,15 @@ class Pyramid(NamedTuple):
 
     Attributes
     ----------
-    levels : (l + 1, h, w) uint8; cell [k, row, column] is the maximum of the 2^k x 2^k cells of level 0
-        from there upwards and to the right
+    levels : (l + 1, h, w) uint8, of a point on any surface; cell [k, row, column] is the maximum of the
+        2^k x 2^k cells of level 0 from there upwards and to the right
+    facing : (DIRECTIONS, h, w) uint8, of a point with a normal around k `SECTOR`: of the surfaces that face
+        less than 90 degrees away from it; at most that of level 0
     corner : (2,) m, the lower left corner
     """
 
     levels: Bytes
+    facing: Bytes
     corner: Array
 
 
@@ -53,23 +58,42 @@ class Memory:
 
 
 def build(points: Features, level: int, memory: Memory | None = None) -> Pyramid:
-    """Return the pyramid of points (n, 2 or more columns: x, y in m), n >= 1, up to a level."""
+    """Return the pyramid of features (n, 5), n >= 1, up to a level."""
     low, high = points[:, :2].min(0).astype(float), points[:, :2].max(0).astype(float)
     below = 2 + (1 << level)  # cells: radius of the Gaussian, and blocks that begin outside
     corner = (np.floor(low / CELL) - below) * CELL
     width, height = (np.floor((high - corner) / CELL) + 4).astype(int)
-    levels = (memory or Memory()).take(level + 1, height, width)
-    _fill(levels, corner, points)
-    return Pyramid(levels, corner)
+    grids = (memory or Memory()).take(level + 1 + DIRECTIONS, height, width)
+    _fill(grids[: level + 1], grids[level + 1 :], corner, points)
+    return Pyramid(grids[: level + 1], grids[level + 1 :], corner)
 
 
 @kernel
-def _fill(levels: Bytes, corner: Array, points: Features) -> None:
-    """Draw the points' Gaussians into level 0, and fill the levels above."""
-    levels[0] = 0
-    everywhere = np.ones(len(points), np.bool_)
-    draw(levels[0], corner, points[:, :2], everywhere)
+def _fill(levels: Bytes, facing: Bytes, corner: Array, points: Features) -> None:
+    """Draw the points' Gaussians into level 0 and `facing`, and fill the levels above.
+
+    Points without a normal may be on a surface of any direction.
+    """
+    levels[0], facing[:] = 0, 0
+    draw(levels[0], corner, points[:, :2], np.ones(len(points), np.bool_))
     pool(levels)
+    chosen = np.empty(len(points), np.bool_)
+    for k in range(DIRECTIONS):
+        c, s = math.cos(k * SECTOR), math.sin(k * SECTOR)
+        for i in range(len(points)):
+            towards = c * points[i, 2] + s * points[i, 3]
+            chosen[i] = points[i, 4] == 0.0 or towards > 0.0
+        draw(facing[k], corner, points[:, :2], chosen)
+
+
+@kernel
+def direction_of(nx: float, ny: float, weight: float) -> int:
+    """Return which of the `DIRECTIONS` a normal has; `DIRECTIONS` of one without weight: unknown."""
+    if weight == 0.0:
+        return DIRECTIONS
+    if abs(nx) >= abs(ny):
+        return 0 if nx > 0.0 else 2
+    return 1 if ny > 0.0 else 3
 
 
 @kernel

@@ -173,6 +173,49 @@ def test_a_frame_with_two_parents_is_reported(entries, tmp_path):
     assert "mount [0.100 m, 0.050 m" in line
 
 
+REVERSED = ("laser", "base_link", [-0.1, -0.05, -0.1], ZERO)
+
+
+@pytest.mark.parametrize("late", [0.0, 0.5])
+@pytest.mark.parametrize("topic", ["/tf", "/tf_static"])
+def test_a_mount_that_is_published_in_reverse_is_inverted(entries, tmp_path, topic, late):
+    """In ROS, base_link would have two parents; `late` is after the first scan."""
+    reverse = late, topic, T.links(STAMP, [REVERSED])
+    log = bag(tmp_path, [*entries, reverse], links(URDF[0]))
+    scans, problems, line = read(log)
+    assert sum(isinstance(m, LaserScan) for m in scans) == 10
+    assert problems.counts == {"reversed transform": 1}
+    assert (
+        "laser is published as the parent of base_link" in problems.examples["reversed transform"]
+    )
+    assert "mount [0.100 m, 0.050 m, 0.0 deg]" in line
+
+
+def test_a_reversed_mount_that_moves_is_noticed(entries, tmp_path):
+    other = ("laser", "base_link", [-0.3, -0.05, -0.1], ZERO)
+    moves = [(t, "/tf", T.links(STAMP, [way])) for t, way in ((0.01, REVERSED), (0.45, other))]
+    _, problems, _ = read(bag(tmp_path, [*entries, *moves], links(URDF[0])))
+    assert problems.counts["scan on a moved mount"] > 0
+
+
+@pytest.mark.parametrize("name", ["bag_0.mcap", "bag_1.mcap"])
+def test_a_later_piece_of_a_split_bag_names_the_first(entries, tmp_path, name):
+    (file,) = bag(tmp_path, entries).glob("*.mcap")
+    line = read(file.rename(tmp_path / name))[2]
+    said = "there is no transform to laser (of a split bag, the first piece has it"
+    assert (said in line) == ("1" in name)
+
+
+@pytest.mark.parametrize(("frame", "child"), [("base", "base"), ("robot1/base_link", "")])
+def test_without_transforms_a_scan_in_the_frame_of_the_robot_has_no_mount(tmp_path, frame, child):
+    recipe = Recipe((Laser(frame=frame),), (), tf_odometry=None, odometry={"/odom": child})
+    found, _ = drive(load_world("room"), recipe)
+    log = write(tmp_path / "bag", recipe, [entry for entry in found if entry[0] < 1.0])
+    _, problems, line = read(log)
+    assert f"mount [0.000 m, 0.000 m, 0.0 deg], {frame} -> {frame}" in line
+    assert not problems.counts
+
+
 def test_odometry_in_transforms_is_read_alike_at_once_and_one_by_one(entries, tmp_path):
     log = bag(tmp_path, entries, links(*URDF))
     with RosBag(path=log) as source:

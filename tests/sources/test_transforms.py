@@ -81,6 +81,19 @@ def test_a_chain_leads_up_and_down_the_tree():
     assert not links
 
 
+@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
+def test_a_link_that_is_published_in_reverse_is_inverted(order):
+    """A sensor carries no robot: where base has another parent, it is not the sensor."""
+    T = pose((0.5, 0.2, 0.1), (0.1, 0.2, 0.3))
+    ways = ("laser", "base", T), ("odom", "base", pose((3.0, 0.0, 0.0)))
+    known = FrameTree({"laser"})
+    assert all(known.add(FrameTransform(*ways[k])) for k in order)
+    np.testing.assert_allclose(known.chain("base", "laser")[0], np.linalg.inv(T), atol=1e-12)
+    assert [link.parent for link in known.up("laser")] == ["base", "odom"]
+    assert known.add(FrameTransform("laser", "base", np.eye(4)))  # published again
+    np.testing.assert_allclose(known.chain("base", "laser")[0], np.eye(4), atol=1e-12)
+
+
 def test_missing_links_and_loops_are_errors():
     T = np.eye(4)
     known = tree(("odom", "base", T), ("mast", "laser", T), ("a", "b", T), ("b", "a", T))

@@ -26,19 +26,19 @@ class MountWatch:
 
     Attributes
     ----------
-    frames : child frames of the links that the mounts consist of
+    pairs : frames of each link that the mounts consist of
     """
 
     def __init__(self, tree: FrameTree, lasers: Mapping[str, tuple[str, str]]) -> None:
         self._tree, self._lasers = tree.copy(), lasers
         chains = {stream: tree.chain(*frames) for stream, frames in lasers.items()}
         self._first = {stream: T for stream, (T, _) in chains.items()}
-        self.frames = {link.child for _, links in chains.values() for link in links}
+        self.pairs = {link.pair for _, links in chains.values() for link in links}
         self._moved: dict[str, str] = {}
 
     def update(self, links: Iterable[FrameTransform]) -> None:
         """Add new links."""
-        own = [link for link in links if link.child in self.frames]
+        own = [link for link in links if link.pair in self.pairs]
         for link in own:
             self._tree.add(link)
         if not own:
@@ -49,8 +49,8 @@ class MountWatch:
                 self._moved[stream] = difference(self._first[stream], T)
 
     def may_be_in(self, data: bytes) -> bool:
-        """Return whether a serialised message contains the name of one of the frames."""
-        return any(frame.encode() in data for frame in self.frames)
+        """Return whether a serialised message contains the names of the frames of one of the links."""
+        return any(all(frame.encode() in data for frame in pair) for pair in self.pairs)
 
     def moved(self, stream: str) -> str:
         """Return the difference of the mount of a stream's laser from the first one, or ""."""

@@ -5,6 +5,7 @@ The names of frames follow REP 105: odometry is the pose of base_footprint or ba
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -27,6 +28,8 @@ STATIC = "tf_static"
 BASES = ("base_footprint", "base_link", "base")
 WORLDS = ("map", "world", "earth")
 MAX_MOUNT_DISTANCE = 100.0  # m from base to a laser, more than on any robot
+LATER_PIECE = re.compile(r"_[1-9]\d*$")
+FIRST_PIECE = " (of a split bag, the first piece has it: give the folder with all pieces)"
 LOOK_AHEAD = 30 * 10**9
 """Time after the first scan, ns, in which each transform of a robot is published many times."""
 
@@ -66,19 +69,20 @@ class Frames:
         self.lasers: dict[str, str] = {}
         self.receivers: dict[str, str] = {}
         self._path, self._problems = path, problems
-        self._tree, self._sources = FrameTree(), dict[str, str]()
+        self._tree, self._sources = FrameTree(), dict[frozenset[str], str]()
         self._static, self._bad = StaticLinks(), dict[str, str]()
         self._edges: dict[Edge, None] = {}
         self._children: dict[str, str] = {}
         self._end = ""  # where reading of transforms ended early, for messages
+        begin = self._read_sensors(bag)
+        self._tree = FrameTree({*self.lasers.values(), *self.receivers.values()})
         publishers = [c for c in bag.connections if c.msgtype in TF_TYPES and c.msgcount]
-        if publishers:
-            self._read(bag, publishers)
+        self._read(bag, publishers, begin)
 
     # ------------------------------------------------------------------ reading
 
-    def _read(self, bag: Bag, publishers: Sequence[Connection]) -> None:
-        begin = self._read_scans(bag)
+    def _read_sensors(self, bag: Bag) -> int:
+        """Read the frames of sensors and odometry; return the log time of the first scan, ns."""
         for connection in bag.connections:
             if connection.msgtype in TYPES["truth"] and not is_truth(connection.topic):
                 for message, _ in first_message(bag, connection):
@@ -86,6 +90,10 @@ class Frames:
             elif connection.msgtype in TYPES["fix"]:
                 for message, _ in first_message(bag, connection):
                     self.receivers[connection.topic] = _plain(message.header.frame_id)
+        return self._read_scans(bag)
+
+    def _read(self, bag: Bag, publishers: Sequence[Connection], begin: int) -> None:
+        """Read the transforms."""
         static = [c for c in publishers if _is_static(c)]
         moving = [c for c in publishers if not _is_static(c)]
         for connection, time, message in _decoded(bag, static):
@@ -97,6 +105,7 @@ class Frames:
             if time > begin and self._is_complete():
                 break
             self._learn(connection.topic, message, time <= begin)
+        self._report_reversed()
 
     def _read_scans(self, bag: Bag) -> int:
         """Read the frames of the scans; return the log time of the first scan, ns."""
@@ -113,7 +122,7 @@ class Frames:
         for transform in message.transforms:
             parent, child = _plain(transform.header.frame_id), _plain(transform.child_frame_id)
             self._edges[Edge(topic, transform.header.frame_id, transform.child_frame_id)] = None
-            counts = is_before or self._tree.get(child) is None
+            counts = is_before or self._tree.lacks(parent, child)
             if not counts and not topic.endswith(STATIC):
                 continue
             try:
@@ -131,13 +140,25 @@ class Frames:
     def _set(self, topic: str, link: FrameTransform) -> None:
         """Set a link of the tree; report a child that has another parent already."""
         if self._tree.add(link):
-            self._sources[link.child] = topic
+            self._sources[link.pair] = topic
         else:
             self._problems.add(
                 "frame with two parents",
                 f"{self._path}: {topic}: {link.child} has another parent than {link.parent}; the "
                 "first one is used: let only one program publish its transform",
             )
+
+    def _report_reversed(self) -> None:
+        """Report the links that the tree contains in reverse."""
+        published = {(_plain(e.parent), _plain(e.child)): e.topic for e in self._edges}
+        for (parent, child), topic in published.items():
+            link = self._tree.get(parent)
+            if link is not None and link.parent == child and (child, parent) not in published:
+                self._problems.add(
+                    "reversed transform",
+                    f"{self._path}: {topic}: {parent} is published as the parent of {child}, which "
+                    "has another parent; it is inverted; ROS needs it the other way round",
+                )
 
     def _is_complete(self) -> bool:
         """Return whether the mounts of all lasers are known, and odometry if no topic contains it."""
@@ -180,16 +201,19 @@ class Frames:
         base = self._children.get(odometry, "")
         if edge is not None and odometry == edge.topic:
             base = _plain(edge.child)
-        return {topic: self._mount(frame, base) for topic, frame in frames.items()}
+        mounts = {topic: self._mount(frame, base) for topic, frame in frames.items()}
+        if self._edges:
+            return mounts
+        return {topic: mount for topic, mount in mounts.items() if mount.pose is not None}
 
     def watch(self, mounts: Mapping[str, Mount], topics: Collection[str]) -> MountWatch:
         """Return a watch of the mounts of these topics of scans."""
         known = {topic: mounts[topic].base for topic in topics if mounts[topic].pose is not None}
         return MountWatch(self._tree, {t: (base, self.lasers[t]) for t, base in known.items()})
 
-    def publishers(self, bag: Bag, frames: Collection[str]) -> list[Connection]:
-        """Return the connections that may move some frames: those that publish them, except static ones."""
-        topics = {self._sources[frame] for frame in frames}
+    def publishers(self, bag: Bag, pairs: Collection[frozenset[str]]) -> list[Connection]:
+        """Return the connections that may move some links: those that publish them, except static ones."""
+        topics = {self._sources[pair] for pair in pairs}
         found = [c for c in bag.connections if c.msgtype in TF_TYPES]
         return [c for c in found if c.topic in topics and not _is_static(c)]
 
@@ -204,7 +228,7 @@ class Frames:
         if not np.abs(T).max() < MAX_MOUNT_DISTANCE:
             return Mount(None, origin=f"according to the transforms, {frame} is far from {base}")
         planar = flattened(T)
-        topics = ", ".join(dict.fromkeys(self._sources[link.child] for link in links))
+        topics = ", ".join(dict.fromkeys(self._sources[link.pair] for link in links))
         origin = f"{topics + ': ' if topics else ''}{base} -> {frame}"
         rivals = tuple(
             Mount(*rival, f"{link.parent} -> {link.child}", base)
@@ -222,7 +246,8 @@ class Frames:
 
     def _base(self, frame: str, base: str = "") -> str:
         """Return the given base if it is linked to a frame, or else a linked frame with a base's name."""
-        for candidate in (base, *self._named(BASES)):
+        own = frame if _last(frame) in BASES else ""
+        for candidate in (base, *self._named(BASES), own):
             with suppress(MessageError):
                 if candidate and (candidate == frame or self._chain(candidate, frame)):
                     return candidate
@@ -244,7 +269,8 @@ class Frames:
         if not frame:
             return "its messages have no frame"
         if not links:
-            return f"there is no transform to {frame}{self._end}"
+            is_piece = self._path.is_file() and LATER_PIECE.search(self._path.stem)
+            return f"there is no transform to {frame}{self._end}{FIRST_PIECE if is_piece else ''}"
         base = bases[0] if bases else "base_link"
         return f"{frame} leads up to {top}, not to {base}{self._end}"
 

@@ -285,7 +285,7 @@ class RosBag(Source):
         assert self._frames is not None
         used, watch = self._used(), self._frames.watch(self._mounts, self._watched)
         events = [c for c in bag.connections if self._preset and c.msgtype == EVENT_TYPE]
-        watched = self._frames.publishers(bag, watch.frames)
+        watched = self._frames.publishers(bag, watch.pairs)
         others = [c for c in (*events, *watched) if c not in used]
         topics, odometry = {c.topic for c in used}, self._edge
         self._position = 0

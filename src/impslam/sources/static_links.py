@@ -20,12 +20,12 @@ class StaticLinks:
     """The different values of each static link."""
 
     def __init__(self) -> None:
-        self._values: dict[tuple[str, str], list[FrameTransform]] = {}
+        self._values: dict[frozenset[str], list[FrameTransform]] = {}
 
     def add(self, link: FrameTransform) -> None:
         """Add a value of a link, unless it is known."""
-        values = self._values.setdefault((link.parent, link.child), [])
-        if all(difference(known.T, link.T) for known in values):
+        values = self._values.setdefault(link.pair, [])
+        if all(difference(known.T, link.below(known.parent).T) for known in values):
             values.append(link)
 
     def rivals(
@@ -44,8 +44,8 @@ class StaticLinks:
 
     def _others(self, links: Iterable[FrameTransform]) -> Iterator[FrameTransform]:
         for link in links:
-            for value in self._values.get((link.parent, link.child), ()):
-                if difference(link.T, value.T):
+            for value in self._values.get(link.pair, ()):
+                if difference(link.T, value.below(link.parent).T):
                     yield value
 
 

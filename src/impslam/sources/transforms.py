@@ -7,6 +7,7 @@ parent, so the chain between two frames is unique: up to their nearest common an
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from typing import NamedTuple
 
 import numpy as np
@@ -28,6 +29,19 @@ class FrameTransform(NamedTuple):
     parent: str
     child: str
     T: Array
+
+    @property
+    def pair(self) -> frozenset[str]:
+        """The two frames, whichever is the parent."""
+        return frozenset((self.parent, self.child))
+
+    def below(self, parent: str) -> FrameTransform:
+        """Return this link with one of its frames as the parent."""
+        if parent == self.parent:
+            return self
+        return FrameTransform(
+            self.child, self.parent, np.asarray(np.linalg.inv(self.T), np.float64)
+        )
 
 
 class Planar(NamedTuple):
@@ -92,10 +106,17 @@ def flattened(T_base_laser: Array) -> Planar:
 
 
 class FrameTree:
-    """Frames with links to their parents; if a frame has several parents, the first counts."""
+    """Frames with links to their parents; if a frame has several parents, the first counts.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    sensors : frames of sensors. They are fixed to the robot and carry no part of it, so a link from one of
+        them to a frame that has another parent is published in reverse; it is inverted.
+    """
+
+    def __init__(self, sensors: Collection[str] = ()) -> None:
         self._links: dict[str, FrameTransform] = {}
+        self._sensors = frozenset(sensors)
 
     def __contains__(self, frame: str) -> bool:
         """Return whether a frame has a parent or a child."""
@@ -105,17 +126,29 @@ class FrameTree:
         """Return the link of a frame to its parent."""
         return self._links.get(child)
 
+    def lacks(self, parent: str, child: str) -> bool:
+        """Return whether a link would give a parent to one of its frames, in reverse to a sensor."""
+        return child not in self._links or (parent in self._sensors and parent not in self._links)
+
     def add(self, link: FrameTransform) -> bool:
         """Set the link of a frame, unless it has another parent; return whether it was set."""
         known = self._links.get(link.child)
-        if known is not None and known.parent != link.parent:
-            return False
-        self._links[link.child] = link
-        return True
+        if known is None or known.parent == link.parent:
+            self._links[link.child] = link
+            return True
+        if self._may_be_reversed(link):
+            return self.add(link.below(link.child))
+        if self._may_be_reversed(known):
+            self._links[link.child] = link
+            return self.add(known.below(known.child))
+        return False
+
+    def _may_be_reversed(self, link: FrameTransform) -> bool:
+        return link.parent in self._sensors and link.child not in self._sensors
 
     def copy(self) -> FrameTree:
         """Return a copy that can be changed independently."""
-        tree = FrameTree()
+        tree = FrameTree(self._sensors)
         tree._links = dict(self._links)
         return tree
 

@@ -121,6 +121,12 @@ def test_without_a_header_columns_have_numbers(tmp_path: Path) -> None:
     ]  # fmt: skip
 
 
+def test_numbers_of_columns_are_not_directions_of_beams(tmp_path: Path) -> None:
+    columns = {"stamp": "1", "ranges": "4:6"}
+    with pytest.raises(SourceError, match=r"directions of the beams are unknown: give --set"):
+        messages(tmp_path, *2 * ["1.5,1,2,3,4,5"], columns=columns)
+
+
 def test_what_rostopic_echo_writes(tmp_path: Path) -> None:
     """`rostopic echo -p /scan`, with stamps in ns and a frame between the numbers."""
     names = [
@@ -233,6 +239,32 @@ def test_stamps_that_are_dates(tmp_path: Path, stamp: str, has_header: bool) -> 
 
 
 STEPS: dict[str, object] = {"angle_min": 0.0, "angle_step": 0.1}
+
+
+@pytest.mark.parametrize("prefix", ["", "header.stamp.", "stamp_"])
+@pytest.mark.parametrize("names", ["sec,nanosec", "secs,nsecs"])
+def test_stamps_of_whole_seconds_and_nanoseconds(tmp_path: Path, prefix: str, names: str) -> None:
+    header = ",".join([*(prefix + name for name in names.split(",")), "-90,0,90"])
+    rows = ["1700000000,750000000,4,5,6", "1700000001,250000000,4,5,6"]
+    scans = messages(tmp_path, header, *rows)
+    assert [scan.stamp for scan in scans] == [1700000000.75, 1700000001.25]
+
+
+def test_nanoseconds_do_not_belong_to_a_stamp_with_a_fraction(tmp_path: Path) -> None:
+    rows = ["Time,header.stamp.secs,header.stamp.nsecs,-90,0,90", *2 * ["8.5,8,500000000,4,5,6"]]
+    assert messages(tmp_path, *rows)[0].stamp == 8.5
+
+
+def test_what_ros2_topic_echo_writes(tmp_path: Path) -> None:
+    rows = [f"{k},500000000,laser,-1,1,1,0,0.1,0.2,8.0,4,5,6" for k in range(3)]
+    given = dict(
+        zip(("stamp", "nanosec", "angle_min", "angle_step", "range_max"), "12460", strict=True)
+    )
+    given |= {"range_max": "10", "ranges": "11:13"}
+    scan = messages(tmp_path, *rows, columns=given)[-1]
+    assert isinstance(scan, LaserScan)
+    assert (scan.stamp, scan.range_max) == (2.5, 8.0)
+    np.testing.assert_array_equal(scan.angles, [-1.0, 0.0, 1.0])
 
 
 def test_units_in_brackets(tmp_path: Path) -> None:

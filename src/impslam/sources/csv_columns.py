@@ -15,7 +15,7 @@ from impslam.sources.text import beam_angles
 from impslam.types import Array
 
 Role: TypeAlias = Literal[
-    "stamp", "x", "y", "theta", "qx", "qy", "qz", "qw", "left", "right", "speed", "turn_rate",
+    "stamp", "nanosec", "x", "y", "theta", "qx", "qy", "qz", "qw", "left", "right", "speed", "turn_rate",
     "ranges", "angle_min", "angle_step", "range_min", "range_max",
 ]  # fmt: skip
 
@@ -38,6 +38,11 @@ NAMES: dict[Role, tuple[str, ...]] = {
     "range_max": ("range_max",),
 }
 """Names that are recognised in a header, without unit and without a prefix before a dot."""
+STAMP_PAIR: dict[Role, tuple[str, ...]] = {
+    "stamp": ("sec", "secs", "stamp_sec", "stamp_secs"),
+    "nanosec": ("nanosec", "nsecs", "nsec", "stamp_nanosec", "stamp_nsecs", "stamp_nsec"),
+}
+"""Names of whole seconds and the ns after them, as in `builtin_interfaces/Time` of ROS."""
 UNITS = {
     "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "m": 1.0, "cm": 1e-2, "mm": 1e-3,
     "rad": 1.0, "deg": math.pi / 180.0,
@@ -90,7 +95,7 @@ class CsvLayout(NamedTuple):
 
 
 def layout(
-    header: Sequence[str], given: Mapping[Role, str], start: float, step: float
+    header: Sequence[str], given: Mapping[Role, str], start: float, step: float, *, named: bool
 ) -> CsvLayout:
     """Return the roles of the columns, given by the user or found by their names.
 
@@ -99,6 +104,7 @@ def layout(
     header : the names of the columns
     given : by role "NAME", or "FIRST:LAST" for ranges, either with "*FACTOR"
     start, step : rad, direction of the first beam and from beam to beam; NaN: from the header
+    named : whether the header is that of the file; else columns are numbered
 
     Raises
     ------
@@ -110,6 +116,11 @@ def layout(
     for role, names in NAMES.items():
         if role not in cells and (found := _find_by_name(plain, names)):
             cells[role] = found
+    pair = {role: _find_by_name(plain, names) for role, names in STAMP_PAIR.items()}
+    if "stamp" not in cells and all(pair.values()):
+        cells |= {role: one for role, one in pair.items() if one}
+    if "nanosec" in cells:
+        cells["nanosec"] = cells["nanosec"]._replace(factor=UNITS["ns"])
     if "ranges" not in cells and (beams := _beams(header)):
         cells["ranges"] = beams
     motion = next((roles for roles in MOTIONS if all(role in cells for role in roles)), ())
@@ -123,7 +134,7 @@ def layout(
             )
     if is_echo and cells["stamp"].factor == 1.0:
         cells["stamp"] = cells["stamp"]._replace(factor=UNITS["ns"])
-    angles = _angles(header, cells, start, step) if "ranges" in cells else None
+    angles = _angles(header if named else (), cells, start, step) if "ranges" in cells else None
     return CsvLayout(cells, motion, angles, _unread(header, cells, motion))
 
 
@@ -220,7 +231,7 @@ def _angles(
     if math.isfinite(start) and math.isfinite(step):
         return beam_angles(beams.last - beams.first, start, step)
     degrees = [_number(name) for name in header[beams.first : beams.last]]
-    if None not in degrees:
+    if degrees and None not in degrees:
         return np.radians(np.array(degrees, np.float64))
     if "angle_min" in cells and "angle_step" in cells:
         return None

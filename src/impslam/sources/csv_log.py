@@ -17,7 +17,16 @@ from pydantic import PrivateAttr
 from impslam.component import parameter, register
 from impslam.errors import MessageError, SourceError
 from impslam.sources.base import Stream
-from impslam.sources.csv_columns import ECHO, MOTIONS, CsvCells, CsvLayout, Role, layout, shorten
+from impslam.sources.csv_columns import (
+    ECHO,
+    MOTIONS,
+    STAMP_PAIR,
+    CsvCells,
+    CsvLayout,
+    Role,
+    layout,
+    shorten,
+)
 from impslam.sources.csv_text import (
     MIN_COLUMNS,
     is_spaced,
@@ -69,6 +78,7 @@ class CsvLog(TextSource):
     _mark: bytes = PrivateAttr(default=b",")
     _begin: int = PrivateAttr(default=0)  # number of the first line that may be a row
     _header: list[str] = PrivateAttr(default_factory=list)
+    _named: bool = PrivateAttr(default=False)  # whether the file has a header
     _layout: CsvLayout | None = PrivateAttr(default=None)
 
     @classmethod
@@ -96,7 +106,8 @@ class CsvLog(TextSource):
         found = opening(self.path)
         self._mark, self._begin = found.mark, found.begin
         count = range(1, len(found.first) + 1)
-        self._header = names(found.first) if found.has_header else list(map(str, count))
+        self._named = found.has_header
+        self._header = names(found.first) if self._named else list(map(str, count))
         return self
 
     def kinds(self) -> frozenset[type[Message]]:
@@ -139,7 +150,8 @@ class CsvLog(TextSource):
     def _columns(self) -> CsvLayout:
         if self._layout is None:
             try:
-                self._layout = layout(self._header, self.columns, self.angle_min, self.angle_step)
+                angles = self.angle_min, self.angle_step
+                self._layout = layout(self._header, self.columns, *angles, named=self._named)
             except MessageError as error:
                 raise SourceError(f"{self.path}: {error}") from None
         return self._layout
@@ -163,7 +175,8 @@ class CsvLog(TextSource):
                 continue
             try:
                 values = numbers(split(text, self._mark), used, width)
-                stamp = _value(values, found.cells["stamp"])
+                parts = [found.cells[role] for role in STAMP_PAIR if role in found.cells]
+                stamp = sum(_value(values, part) for part in parts)
                 check_finite("the stamp", stamp)
                 unit = unit or next((factor for low, factor in EPOCHS if abs(stamp) > low), 1.0)
                 motion = self._odometry(values, found, stamp * unit)

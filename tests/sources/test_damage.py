@@ -1,5 +1,6 @@
 """Whatever happened to a log, it is refused in one line or read with sound messages only."""
 
+import gzip
 import shutil
 import tracemalloc
 from pathlib import Path
@@ -108,6 +109,14 @@ def test_a_file_that_begins_with_zeros_is_explained(tmp_path: Path) -> None:
     path.write_bytes(bytes(5000) + b"\x06 and more")
     with pytest.raises(SourceError, match="begins with zeros: writing was interrupted"):
         recognise(path)
+
+
+def test_a_packed_bag_is_explained(tmp_path: Path) -> None:
+    (log := tmp_path / "log.bag.gz").write_bytes(gzip.compress(b"#ROSBAG V2.0\n" + bytes(100)))
+    with pytest.raises(
+        SourceError, match=r"it is packed; unpack it first: gunzip -k .*/log\.bag\.gz$"
+    ):
+        recognise(log)
 
 
 def test_a_bag_of_an_early_version_is_explained(tmp_path: Path) -> None:

@@ -248,6 +248,17 @@ class Source(Component):
         return 0
 
 
+_PACKED = {
+    b"\x1f\x8b": "gunzip -k",
+    b"BZh": "bunzip2 -k",
+    b"\xfd7zXZ": "unxz -k",
+    b"\x28\xb5\x2f\xfd": "unzstd",
+    b"PK\x03\x04": "unzip",
+    b"7z\xbc\xaf": "7z x",
+}
+"""Commands that unpack files, by their first bytes."""
+
+
 def recognise(path: Path) -> type[Source]:
     """Return the source class for the format of a log, detected from its content.
 
@@ -271,8 +282,8 @@ def recognise(path: Path) -> type[Source]:
         reasons.append(cls.explain_refusal(path))
     if path.is_dir() and (content := explain_folder(path, _is_log)):
         raise SourceError(f"{path}: is no log itself; {content}")
-    if path.is_file() and _begins_with_zeros(path):
-        reasons.append("it begins with zeros: writing was interrupted, or the disk lost the data")
+    if path.is_file():
+        reasons.append(_explain_start(path))
     known = ", ".join(names("source"))
     text = f"{path}: no known log format; readable are {known} (see `imp list`)"
     others = ["write stamps, poses and ranges of another format as CSV (docs/formats.md)"]
@@ -295,6 +306,11 @@ def _is_log(path: Path) -> bool:
     return False
 
 
-def _begins_with_zeros(path: Path) -> bool:
+def _explain_start(path: Path) -> str:
+    """Say what the first bytes of a file show: that it is packed, or was not written."""
     with path.open("rb") as file:
-        return not any(file.read(16))
+        start = file.read(16)
+    if not any(start):
+        return "it begins with zeros: writing was interrupted, or the disk lost the data"
+    packed = next((command for magic, command in _PACKED.items() if start.startswith(magic)), "")
+    return packed and f"it is packed; unpack it first: {packed} {path}"

@@ -52,6 +52,4 @@ class WriteAttempts:
             if not isinstance(error, OSError | ImpError):
                 raise error
         if self.failed:
-            raise ImpError(
-                f"{self.folder}: {self.message}; free disk space or choose another folder"
-            )
+            raise ImpError(f"{self.folder}: {self.message}; free disk space or check the folder")

@@ -213,7 +213,7 @@ def running_station(
         )
     from impslam.platform.station.robot_file import RobotFile, load_robot
 
-    chosen = RobotFile() if config is None else load_robot(config)
+    chosen = RobotFile() if config is None else load_robot(config, virtual=options.virtual)
     fault: Fault | None = None
     with ExitStack() as stack:
         if options.virtual:

@@ -56,6 +56,14 @@ def test_errors_are_one_line(write, text, complaint):
     assert "\n" not in str(caught.value)
 
 
+def test_a_virtual_robot_needs_no_devices(write):
+    """It has its own, whatever the file says of its name, limits and folder."""
+    path = write('name = "imp-7"\nmax_speed = 0.3')
+    assert load_robot(path, virtual=True).max_speed == 0.3
+    with pytest.raises(ConfigError, match="names no device"):
+        load_robot(path)
+
+
 def test_a_missing_file_is_an_error(tmp_path):
     with pytest.raises(ConfigError, match=r"robot\.toml: cannot be read"):
         load_robot(tmp_path / "robot.toml")

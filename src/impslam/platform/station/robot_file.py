@@ -49,8 +49,8 @@ class RobotFile(Parameters):
         }
 
 
-def load_robot(path: Path) -> RobotFile:
-    """Read a robot file.
+def load_robot(path: Path, *, virtual: bool = False) -> RobotFile:
+    """Read a robot file. It names at least one device, unless the robot is virtual and has its own.
 
     Raises
     ------
@@ -64,7 +64,7 @@ def load_robot(path: Path) -> RobotFile:
         raise ConfigError(f"{path}: cannot be read ({error}); give -c a robot file") from None
     except ValidationError as error:
         raise ConfigError(explain(error, str(path), RobotFile.model_fields)) from None
-    if not robot.devices:
+    if not (robot.devices or virtual):
         raise ConfigError(f"{path}: names no device; add a table such as [devices.lidar]")
     robot.make_devices()
     return robot

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from rosbags.rosbag1 import Writer as Writer1
-from tests.sources.bags import ROS1, ROS2, bag, image, imu, joints, odometry, scan, twist
+from tests.sources.bags import ROS1, ROS2, bag, header, image, imu, joints, odometry, scan, twist
 from tests.sources.logs import assert_same, messages, read, write_mcap
 
 import impslam
@@ -450,6 +450,25 @@ def test_wheels_that_are_not_read_are_named(tmp_path: Path, names: list[str], sa
     assert config.odometry == {"kind": "lidar_only"}
     assert said in source.problems.examples.get("unknown odometry", "")
     assert bool(said) == bool(source.problems.counts)
+
+
+@pytest.mark.parametrize("kind", ["PoseStamped", "PoseWithCovarianceStamped"])
+def test_poses_are_odometry_if_they_are_named(tmp_path: Path, kind: str) -> None:
+    """As of a scan matcher or a filter; otherwise they may be poses in a map."""
+    new = lambda name, *values: ROS2.types[f"geometry_msgs/msg/{name}"](*values)  # noqa: E731
+    pose = new("Pose", new("Point", 1.0, 2.0, 0.0), new("Quaternion", 0.0, 0.0, 0.6, 0.8))
+    known = pose if kind == "PoseStamped" else new("PoseWithCovariance", pose, np.zeros(36))
+    entries = [("/pose", new(kind, header(ROS2, k), known)) for k in (1.0, 2.0)]
+    goal = ("/goal_pose", new("PoseStamped", header(ROS2), pose))
+    path = bag(tmp_path / "bag", *entries, goal, ("/scan", scan(ROS2)), ("/scan", scan(ROS2)))
+    _, source = open_log(path)
+    assert source.problems.examples["unknown odometry"].endswith(
+        f"{path}: /pose is not read: if these poses are odometry, not poses in a map, use them with "
+        "--topic odometry=/pose"
+    )
+    poses = [m for m in read(path, topics={"odometry": "/pose"})[0] if isinstance(m, OdometryPose)]
+    assert [m.stamp for m in poses] == [1.0, 2.0]
+    np.testing.assert_allclose(poses[0].pose, [1.0, 2.0, 2 * math.asin(0.6)])
 
 
 def test_measured_velocities_are_read_if_they_are_named(tmp_path: Path) -> None:

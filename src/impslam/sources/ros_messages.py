@@ -104,12 +104,16 @@ def read_fix(message: RosMessage, stamp: float) -> SatelliteFix:
 
 
 def read_odometry(message: RosMessage, stamp: float) -> OdometryPose:
-    """Read the pose of a `nav_msgs/Odometry`, or of base in odom from a `TransformStamped`."""
+    """Read the pose of a `nav_msgs/Odometry`, `PoseStamped` or `PoseWithCovarianceStamped`.
+
+    Or the pose of base in odom of a `TransformStamped`.
+    """
     if "Transform" in message.__msgtype__:
         read_transform(message)
         pose = message.transform
         return OdometryPose(stamp, _planar(pose.translation, pose.rotation))
-    return OdometryPose(stamp, _planar(message.pose.pose.position, message.pose.pose.orientation))
+    pose = getattr(message.pose, "pose", message.pose)
+    return OdometryPose(stamp, _planar(pose.position, pose.orientation))
 
 
 def read_velocity(message: RosMessage, stamp: float) -> Velocity:

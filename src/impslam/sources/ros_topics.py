@@ -29,13 +29,18 @@ Use: TypeAlias = Literal[
 
 TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 TWIST_TYPES = ("geometry_msgs/msg/TwistStamped", "geometry_msgs/msg/TwistWithCovarianceStamped")
+POSE_TYPES = (
+    "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "geometry_msgs/msg/PoseStamped",
+)
+"""Odometry only if the user names the topic: most of these poses are goals, or poses in a map."""
 TYPES: dict[Use, tuple[str, ...]] = {
     "truth": ("nav_msgs/msg/Odometry",),
     "scan": ("sensor_msgs/msg/LaserScan", "sensor_msgs/msg/MultiEchoLaserScan"),
     "wheels": ("sensor_msgs/msg/JointState",),
     "voltages": ("geometry_msgs/msg/Vector3Stamped",),
     "velocity": (*TWIST_TYPES, "nav_msgs/msg/Odometry"),
-    "odometry": ("nav_msgs/msg/Odometry", *TF_TYPES),
+    "odometry": ("nav_msgs/msg/Odometry", *TF_TYPES, *POSE_TYPES),
     "imu": ("sensor_msgs/msg/Imu",),
     "fix": ("sensor_msgs/msg/NavSatFix",),
     "image": ("sensor_msgs/msg/CompressedImage",),
@@ -92,7 +97,11 @@ def choose(log: Path, requested: Mapping[Use, str], counts: Counts) -> dict[str,
         if use in requested or use in ONLY_BY_NAME:
             continue
         scan = next((topic for topic, name in uses.items() if name == "scan"), "")
-        free = [(kinds.index(k), t, n) for (t, k), n in counts.items() if k in kinds and n]
+        free = [
+            (kinds.index(k), t, n)
+            for (t, k), n in counts.items()
+            if k in kinds and n and k not in POSE_TYPES
+        ]
         fit = [
             (kind, use == "odometry" and _unlikely(topic, scan), -n, topic)
             for kind, topic, n in free
@@ -135,6 +144,8 @@ def rival_note(topic: str, kind: str, defaults: Mapping[str, Use]) -> str:
     """Return why a topic is not read, and how to read it; or ""."""
     if kind == CLOUD_TYPE:
         return f"not read: {MAKE_SCANS}"
+    if kind in POSE_TYPES:
+        return ""
     uses = [use for use, kinds in TYPES.items() if kind in kinds]
     taken = {use: name for name, use in defaults.items() if use in uses}
     if not taken:

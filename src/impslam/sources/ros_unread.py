@@ -1,4 +1,4 @@
-"""What in a ROS log may be odometry, but is not read as such: joints, and velocities."""
+"""What in a ROS log may be odometry, but is not read as such: joints, velocities and poses."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from impslam.sources.ros_messages import find_joints
 from impslam.sources.ros_storage import Bag
-from impslam.sources.ros_topics import COMMAND, TWIST_TYPES, count_messages
+from impslam.sources.ros_topics import COMMAND, POSE_TYPES, TWIST_TYPES, count_messages
 
 MAX_JOINT_MESSAGES = 200
 """Messages among which all publishers of joints occur: rates of two differ by a factor of 100 at most."""
@@ -50,9 +50,18 @@ def joint_fault(bag: Bag, topic: str, joints: tuple[str, str]) -> JointFault | N
 
 
 def unread_motion(bag: Bag, faults: Mapping[str, JointFault]) -> str:
-    """Describe the topics of wheels and of velocities; `faults` are those of joints, by topic."""
+    """Describe the topics of wheels, velocities and poses; `faults` are those of joints, by topic."""
     wheels = (f"{t} is not read: {fault.text}" for t, fault in faults.items() if fault.has_wheels)
-    return "; ".join([*wheels, *_velocities(bag)])
+    return "; ".join([*wheels, *_velocities(bag), *_poses(bag)])
+
+
+def _poses(bag: Bag) -> Iterator[str]:
+    for (topic, kind), count in sorted(count_messages(bag.connections).items()):
+        if kind in POSE_TYPES and count > 1:  # a single one is a goal, or the start in a map
+            yield (
+                f"{topic} is not read: if these poses are odometry, not poses in a map, use them with "
+                f"--topic odometry={topic}"
+            )
 
 
 def _velocities(bag: Bag) -> Iterator[str]:

@@ -147,7 +147,7 @@ class RosBag(Source):
         return frozenset(KINDS[use] for use in self._uses.values())
 
     def unknown_odometry(self) -> str:
-        """Name topics of wheels and velocities that are not read as odometry."""
+        """Name topics of wheels, velocities and poses that are not read as odometry."""
         return self._unread
 
     def missing_scans(self) -> str:

@@ -442,6 +442,10 @@ def _serve_troubles(api: FastAPI, station: FakeStation) -> None:
     def lose(why: str = "") -> None:
         station.lost = why
 
+    @api.get("/fake/compile")
+    def compiling(on: bool) -> None:
+        station.mapper.state = "compiling" if on else "running"
+
     @api.get("/fake/hinder")
     def hinder(why: str = "") -> None:
         station.drive.hindrance = why
@@ -494,6 +498,7 @@ def serve(port: int, *, tour: bool, replay: bool) -> None:
         station.helm.take("reset", "reset")
         station.helm.release("reset")
         station.helm.leave("reset")
+        station.events[:] = [Event(now(), "info", "robot", "the robot is ready")]
         station.drive.told.clear()
         station.drive.stops = station.drive.releases = station.mapper.starts = 0
         station.hints.clear()

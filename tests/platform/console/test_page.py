@@ -309,6 +309,35 @@ def test_a_map_is_continued_and_a_click_gives_a_hint(browser, robot):
 
 
 @pytest.mark.browser
+def test_the_map_tells_that_the_estimator_is_being_compiled(browser, robot):
+    """Whatever tab is open, as that of the maps after a press on Localise."""
+    with visit(browser, robot) as watched:
+        page = watched.page
+        page.get_by_test_id("tab-maps").click()
+        robot.ask("compile?on=1")
+        expect(page.get_by_test_id("notice")).to_have_text(
+            "Compiling for this machine; once, up to a minute"
+        )
+        robot.ask("compile?on=0")
+        expect(page.get_by_test_id("notice")).to_have_count(0)
+        expect(page.get_by_test_id("pose-x")).to_be_visible()
+
+
+@pytest.mark.browser
+@pytest.mark.parametrize("context", [{}, PHONE], ids=["desktop", "phone"])
+def test_a_page_that_is_loaded_again_shows_the_same_panel(browser, robot, context):
+    with visit(browser, robot, **context) as watched:
+        page = watched.page
+        page.get_by_test_id("tab-health").click()
+        page.reload()
+        expect(page.get_by_test_id("panel-health")).to_be_visible()
+        expect(page.get_by_test_id("tab-health")).to_have_attribute("aria-selected", "true")
+        page.evaluate("sessionStorage.setItem('imp-tab', 'of an earlier version')")
+        page.reload()
+        expect(page.get_by_test_id("panel-health")).to_be_hidden()
+
+
+@pytest.mark.browser
 def test_mapping_is_restarted_and_saved(browser, robot):
     with visit(browser, robot) as watched:
         page = watched.page

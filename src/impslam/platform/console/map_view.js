@@ -13,7 +13,8 @@ export default {
         @pointerdown="down" @pointermove="move" @pointerup="up" @pointercancel="up" @pointerleave="tip = null"
         @wheel.prevent="wheel" @dblclick="fit"></canvas>
       <div class="hud" data-testid="pose">
-        <template v-if="pose">
+        <span v-if="notice" class="sought" data-testid="notice" role="status">{{ notice }}</span>
+        <template v-else-if="pose">
           <span><i>x</i> <b data-testid="pose-x">{{ fixed(pose[0], 3) }}</b> m</span>
           <span><i>y</i> <b data-testid="pose-y">{{ fixed(pose[1], 3) }}</b> m</span>
           <span><i>heading</i> <b data-testid="pose-heading">{{ fixed(pose[2] * 180 / Math.PI, 1) }}</b>°</span>
@@ -50,7 +51,7 @@ export default {
       </div>
       <div v-if="tip" class="tip" :style="{ left: tip.x + 'px', top: tip.y + 'px' }">{{ tip.text }}</div>
     </div>`,
-  props: { footprint: Array, asks: Boolean },
+  props: { footprint: Array, asks: Boolean, notice: String },
   data: () => ({
     pose: null, sought: false, sigma: "", state: "", why: "", mode: "fit", open: window.innerWidth > 700 && window.innerHeight > 520, tip: null, data: {}, hasTruth: false,
     shown: Object.fromEntries(LAYERS.map(([name, , on]) => [name, on])),

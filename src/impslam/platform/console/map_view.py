@@ -34,7 +34,7 @@ class MapView(Element, component="map_view.js", esm={"impslam-map": "map"}):
     def __init__(self, feed: Feed, hint: Hint | None = None) -> None:
         super().__init__()
         self._hint = hint
-        self._props["asks"] = False
+        self._props["asks"], self._props["notice"] = False, ""
         self._feed = feed
         self._sent_state = SentState()
         self._pending_version: int | None = None
@@ -57,6 +57,12 @@ class MapView(Element, component="map_view.js", esm={"impslam-map": "map"}):
         asks = wanted and self._hint is not None
         if asks != self._props["asks"]:
             self._props["asks"] = asks
+            self.update()
+
+    def tell(self, notice: str) -> None:
+        """Show why the map is not made yet, "" if it is."""
+        if notice != self._props["notice"]:
+            self._props["notice"] = notice
             self.update()
 
     async def _on_hint(self, event: GenericEventArguments) -> None:

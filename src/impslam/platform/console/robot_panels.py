@@ -16,8 +16,9 @@ from impslam.platform.console.health_panel import EventPanel, HealthPanel
 from impslam.platform.console.log_panel import LogPanel, RecordPanel
 from impslam.platform.console.mapping_panel import MappingPanel
 from impslam.platform.console.maps_panel import MapsPanel
+from impslam.platform.console.tabs import Tabs
 from impslam.platform.console.viewer import Viewer
-from impslam.platform.console.widgets import card, symbol, tagged
+from impslam.platform.console.widgets import card
 from impslam.platform.devices.base import DriveDevice
 from impslam.platform.station.station import Station, StationHealth
 
@@ -29,11 +30,6 @@ TABS = {
     "camera": ("photo_camera", "Camera"),
 }
 """Tab -> icon, title. If there is room, drive has a place of its own."""
-SELECT_TAB = (
-    "(e) => {{ document.body.dataset.tab = '{name}'; const now = e.currentTarget; "
-    "for (const tab of now.parentNode.children) tab.ariaSelected = String(tab === now); }}"
-)
-"""Script of a tab: shows its panel, also for screen readers."""
 DISK_UPDATE_RATIO = 2  # slow updates per update of the lists of files
 
 
@@ -48,7 +44,7 @@ class RobotPanels:
         with html.aside().classes("side"):
             with _tab("drive"):
                 self._drive = DrivePanel(station, viewer, header.stop)
-            _tabs()  # after drive: the key Tab follows the layout
+            Tabs(TABS)  # after drive: the key Tab follows the layout
             with _tab("record"):
                 self._record = RecordPanel(station, viewer)
                 self._mapping = MappingPanel(station, viewer)
@@ -111,15 +107,6 @@ def alarms(health: StationHealth, hindrance: str, drives: Collection[str]) -> li
     if health.recording.error and not health.recording.active:
         found.append(f"Not recording: {health.recording.error}")
     return found
-
-
-def _tabs() -> None:
-    with html.nav().classes("tabs").props("role=tablist"):
-        for name, (icon, title) in TABS.items():
-            tab: Element = html.button().classes(f"tab tab-{name}").props("type=button role=tab")
-            with tagged(tab.on("click", js_handler=SELECT_TAB.format(name=name)), f"tab-{name}"):
-                symbol(icon)
-                html.span(title)
 
 
 def _tab(name: str) -> Element:

@@ -220,6 +220,12 @@ def test_two_pages_of_one_login_do_not_drive_at_once(browser, robot):
         second.page.keyboard.down("w")
         second.page.wait_for_timeout(400)
         assert robot.state()["told"] == []
+        second.page.keyboard.up("w")
+        take(second.page)
+        expect(first.page.get_by_test_id("driver")).to_have_text("You drive on another page")
+        first.page.keyboard.down("w")
+        first.page.wait_for_timeout(400)
+        assert robot.state()["told"] == []
 
 
 @pytest.mark.browser

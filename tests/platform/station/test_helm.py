@@ -161,6 +161,18 @@ def test_commands_are_clipped_to_the_limits(speed, turn_rate):
     assert all(abs(v) <= 0.5 and abs(w) <= 1.0 for _, v, w in wheels.commands)
 
 
+def test_a_driver_takes_over_from_another_page_and_the_robot_stops(helm, wheels, clock):
+    helm.take("a", "Ann")
+    helm.drive("a", 0.2, 0.0)
+    helm.take("b", "Ann")
+    assert (helm.state().driver, helm.state().speed) == ("b", 0.0)
+    with pytest.raises(HelmError):
+        helm.drive("a", 0.2, 0.0)
+    helm.leave("a")  # that page is closed
+    helm.drive("b", 0.1, 0.0)
+    assert helm.state().speed == 0.1
+
+
 def test_a_robot_without_a_drive_device_refuses_drivers():
     helm = Helm(None, (0.5, 1.0))
     with pytest.raises(HelmError, match="nothing to drive with"):

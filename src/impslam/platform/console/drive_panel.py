@@ -40,10 +40,9 @@ class DrivePanel:
         """Show the present state of the helm."""
         state = self._station.helm.state()
         may, mine = self._viewer.session.may_drive, state.driver == self._viewer.driver
-        self._who.text = self._driver_text(
-            state, mine=mine, same=state.name == self._viewer.session.name
-        )
-        show(self._take, may and state.driver is None)
+        same = state.name == self._viewer.session.name
+        self._who.text = self._driver_text(state, mine=mine, same=same)
+        show(self._take, may and (state.driver is None or (same and not mine)))
         show(self._leave, mine)
         show(self._stopped, bool(state.stopped))
         self._why.text = state.stopped.capitalize()

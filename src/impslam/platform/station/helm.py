@@ -87,7 +87,7 @@ class Helm:
             self._thread.join(1.0)
 
     def take(self, driver: str, name: str) -> None:
-        """Become the driver.
+        """Become the driver; the robot stops if the same person drove from another page.
 
         Raises
         ------
@@ -97,10 +97,11 @@ class Helm:
         with self._lock:
             if self._device is None:
                 raise HelmError("this robot has nothing to drive with; add a drive device to it")
-            if self._driver is not None and self._driver[0] != driver:
+            if self._driver is not None and driver != self._driver[0] and name != self._driver[1]:
                 raise HelmError(f"{self._driver[1]} is driving; ask them to let go of the helm")
             changed = self._driver is None
-            self._driver = (driver, name)
+            if self._driver != (driver, name):
+                self._driver, self._command = (driver, name), (0.0, 0.0)
         if changed:
             self._notify("info", f"{name} takes the helm")
 

@@ -352,8 +352,11 @@ def test_mapping_is_restarted_and_saved(browser, robot):
         page.get_by_test_id("map-end").click()
         expect(page.get_by_test_id("mapping")).to_contain_text("Not mapping")
         expect(page.get_by_test_id("map-end")).to_be_hidden()
+        expect(page.get_by_test_id("notice")).to_contain_text("Mapping has ended")
+        expect(page.get_by_test_id("pose-state")).to_have_count(0)  # LOST would be an alarm
         page.get_by_test_id("map-start").click()
         expect(page.get_by_test_id("mapping")).to_contain_text("Mapping")
+        expect(page.get_by_test_id("notice")).to_have_count(0)
 
 
 def test_every_fault_on_the_page_exists_in_a_virtual_robot():

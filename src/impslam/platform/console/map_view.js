@@ -24,7 +24,7 @@ export default {
           {{ state === "LOST" ? "" : "Where the robot is in the map is not known yet. " }}Drive on{{
           asks ? ", or click where it is" : "" }}.</span>
         <span v-else-if="state !== 'LOST'" class="soft">No map yet</span>
-        <div v-if="pose || state === 'LOST' || (sought && state !== 'TRACKING')" :class="'pose-state ' + state" data-testid="pose-state" role="status">
+        <div v-if="!notice && (pose || state === 'LOST' || (sought && state !== 'TRACKING'))" :class="'pose-state ' + state" data-testid="pose-state" role="status">
           <b>{{ state }}</b><span v-if="why">{{ why }}</span></div>
       </div>
       <div class="layers" :class="{ open }">

@@ -60,7 +60,7 @@ class MapView(Element, component="map_view.js", esm={"impslam-map": "map"}):
             self.update()
 
     def tell(self, notice: str) -> None:
-        """Show why the map is not made yet, "" if it is."""
+        """Show why the map does not follow the robot, instead of its pose and state; "" if it does."""
         if notice != self._props["notice"]:
             self._props["notice"] = notice
             self.update()

@@ -79,6 +79,15 @@ class MappingPanel:
             show(self._saved_line, True)
 
 
+def notice(status: MapperStatus) -> str:
+    """Return why the map does not follow the robot although nothing is wrong, "" if it does."""
+    if status.state == "compiling":
+        return STATE_TEXTS["compiling"]
+    if status.state == "off" and status.steps:
+        return "Mapping has ended; the robot is not followed"
+    return ""
+
+
 def _status_text(status: MapperStatus) -> str:
     if status.state != "running" or not status.name:
         return STATE_TEXTS[status.state]

@@ -12,7 +12,7 @@ from impslam.platform.console.feed import Feed
 from impslam.platform.console.header import Header
 from impslam.platform.console.link import Link
 from impslam.platform.console.map_view import Hint, MapView
-from impslam.platform.console.mapping_panel import STATE_TEXTS
+from impslam.platform.console.mapping_panel import notice
 from impslam.platform.console.model import Model
 from impslam.platform.console.replay_panel import ReplayPanel
 from impslam.platform.console.robot_panels import RobotPanels
@@ -104,7 +104,7 @@ class Page:
         if isinstance(self._panels, RobotPanels):
             self._link.warn(self._panels.slow())
             mapping = self._feed.health().mapping
-            self._map.tell(STATE_TEXTS["compiling"] if mapping.state == "compiling" else "")
+            self._map.tell(notice(mapping))
             self._map.accept_hints(mapping.on and bool(mapping.name))
 
     def _end(self) -> None:

@@ -72,6 +72,8 @@ class Graph(Estimator):
     _start: Array = PrivateAttr()
     _models: Mapping[str, LandmarkModel] = PrivateAttr()
     _known: Map | None = PrivateAttr(None)
+    _closed_before: int = PrivateAttr(0)
+    """Number of closures of the map that is continued."""
     _settled: Revision | None = PrivateAttr(None)
     _final: PoseGraph | None = PrivateAttr(None)
     """The graph with the closures of the newest node, after `settle`."""
@@ -87,6 +89,7 @@ class Graph(Estimator):
         """Continue a map; see `Estimator.resume`."""
         if len(known.keyframes):
             self._keys, self._graph, self._since = restored(known, self.spacing, frozen=frozen)
+            self._closed_before = self._graph.closures
             self._thinner.resume(self._keys, frozen=frozen)
             if frozen:
                 self._known, self._closer = known, LoopCloser(_everywhere(self.loops))
@@ -270,9 +273,9 @@ class Graph(Estimator):
         return self._keys.sightings.by_keyframe()
 
     def counts(self) -> Mapping[str, int]:
-        """Return the numbers of tried and accepted loop closures, and of sessions."""
+        """Return the numbers of loop closures tried and closed in this run, and of sessions."""
         tried = self._closer.recogniser.counts["attempts"]
-        closed = (self._final or self._graph).closures
+        closed = (self._final or self._graph).closures - self._closed_before
         counts = {"loops tried": tried, "loops closed": closed}
         first = np.unique(self._keys.sessions, return_index=True)[1]
         if len(first) > 1:

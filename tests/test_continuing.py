@@ -90,6 +90,19 @@ def test_another_log_with_the_same_stamps_is_told_by_its_odometry(drive, whole):
     assert known.keyframes.placed.all()
 
 
+@pytest.mark.parametrize(("rest", "dropped"), [(5, 0), (0, 3)])
+def test_scans_at_rest_with_the_stamps_of_the_map_are_no_problem(drive, rest, dropped):
+    """Simulated drives begin at the same stamp and at rest; only odometry that moves is suspicious."""
+    poses, ranges = drive
+    order = np.concatenate((np.full(rest, 10), np.arange(10, 170)))  # moves from scan 10 on
+    first = mapped((poses[order], ranges[order]), slice(None))
+    other = poses[order].copy()
+    other[max(rest, 3) :, 0] += 0.01
+    slam = given(impslam.Slam("default", known=first), (other, ranges[order]), slice(None))
+    slam.finish()
+    assert slam._run._continuation.unused == dropped
+
+
 def test_an_estimator_that_cannot_go_on_gives_way_to_one_that_can(drive, whole):
     """Unless it is asked for."""
     known = mapped(drive, slice(170, 340), late=1000.0, known=whole, config="imp", settings=[

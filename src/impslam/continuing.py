@@ -96,8 +96,14 @@ class Continuation:
 
     @property
     def unused(self) -> int:
-        """Number of first scans of another log that are not used, because they equal those of the map."""
-        return 0 if self._is_same_log or self._id_shift is None else self._count
+        """Number of first scans of another log that are not used, because they equal those of the map.
+
+        0 if the robot did not move during these scans: at rest the odometry of any two drives is equal.
+        """
+        if self._is_same_log or self._id_shift is None:
+            return 0
+        has_moved = bool((np.abs(self._odometry[: self._count]) > ODOMETRY_TOLERANCE).any())
+        return self._count if has_moved else 0
 
     @property
     def refusal(self) -> str:

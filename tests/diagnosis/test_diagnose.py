@@ -16,6 +16,7 @@ from impslam.diagnosis.agreement import drive_axis, fit_agreement
 from impslam.diagnosis.diagnose import diagnose
 from impslam.diagnosis.evidence import gather_evidence
 from impslam.diagnosis.finding import worst_health
+from impslam.diagnosis.mount import relative_to_axle
 from impslam.diagnosis.robust import RobustFit
 from impslam.diagnosis.scales import check_scales
 from impslam.health import MISALIGNED, MISSCALED, MISTIMED, OPPOSED, SOUND
@@ -95,6 +96,11 @@ CASES = {
     "stops": (faults.stopping(20.0, 10.0), (), "odometry stops"),
     "mount": (faults.nothing(), ("sensors.lidar.mount=[-0.1,0,0]",), "laser elsewhere"),
 }
+
+
+def test_a_laser_behind_the_axle_is_reported_behind_it() -> None:
+    assert relative_to_axle(0.1, 0.002) == "0.100 ± 0.002 m ahead of the axle"
+    assert relative_to_axle(-0.064, 0.0) == "0.064 ± 0.001 m behind the axle"
 
 
 SPOILED = {

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from impslam.diagnosis.evidence import Evidence
 from impslam.diagnosis.finding import Finding, is_off, probability_off
 from impslam.diagnosis.handedness import check_handedness
@@ -76,10 +74,16 @@ def _displaced(e: Evidence) -> list[Finding]:
     return [
         Finding(
             "laser elsewhere",
-            f"the laser is {ahead:.3f} ± {np.fmax(sigma, 1e-3):.3f} m ahead of the axle; {given}",
+            f"the laser is {relative_to_axle(ahead, sigma)}; {given}",
             (f"{e.lidar_key}.mount=[{ahead:.3f},{y:.3f},{yaw:.3f}]",),
             probability_off(ahead - x, sigma, allowed),
             harmful=e.is_mount_given,
             lidar=e.name,
         )
     ]
+
+
+def relative_to_axle(ahead: float, sigma: float) -> str:
+    """Return a position ahead of the axle, or behind it if negative, with its standard deviation, m."""
+    side = "behind" if ahead < 0.0 else "ahead of"
+    return f"{abs(ahead):.3f} ± {max(sigma, 1e-3):.3f} m {side} the axle"

@@ -1,10 +1,12 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 
 import pytest
 
+from impslam.cli.arena import degrees
 from impslam.cli.run_folder import RUN_FILES
 
 
@@ -35,3 +37,9 @@ def error(text: str, name: str) -> float:
     """Return the error in a landmark's row, in cm."""
     words = next(line for line in text.splitlines() if name in line).split()
     return float(words[-2] if name.startswith("wall") else words[-1])
+
+
+def test_degrees_have_no_negative_zero_and_one_sign_for_a_half_turn() -> None:
+    assert f"{degrees(-1e-6):z.2f}" == "0.00"
+    assert degrees(-math.pi + 1e-6) == degrees(math.pi) == 180.0
+    assert degrees(math.radians(179.97)) == 179.97

@@ -103,7 +103,7 @@ def _show_landmarks(truth: list[TrueLandmark], known: Map) -> None:
             turn = "" if true.end_points is None else f"{math.degrees(error.angle):.2f}"
             errors = f"{100 * error.distance:.1f}", turn
         rows.append((true.name, *_position(true), *estimate, *errors))
-    header = ("landmark", "true", "", "estimated", "", "error, cm", "deg")
+    header = ("landmark", "true", "", "estimated", "", "error, cm", "error, deg")
     console.show_table(header, rows, numbers=6)
     for number in score.false:
         console.echo(f"not in the arena: {marks[number].kind} {' '.join(_position(marks[number]))}")
@@ -117,8 +117,15 @@ def _position(landmark: Landmark | TrueLandmark) -> tuple[str, str]:
     """Return x and y of a point, or distance and direction of a wall from the origin."""
     values = landmark.parameters
     if landmark.end_points is not None:
-        return f"r {values['r']:.3f} m", f"{math.degrees(values['alpha']):.2f} deg"
-    return f"x {landmark.position[0]:.3f}", f"y {landmark.position[1]:.3f}"
+        return f"r {values['r']:.3f} m", f"{degrees(values['alpha']):z.2f} deg"
+    x, y = landmark.position
+    return f"x {x:z.3f} m", f"y {y:z.3f} m"
+
+
+def degrees(angle: float) -> float:
+    """Return an angle in rad as degrees in (-180, 180], rounded to hundredths."""
+    rounded = round(math.degrees(angle), 2)
+    return 180.0 if rounded == -180.0 else rounded
 
 
 def _show_end(end: EndOfRun) -> None:
@@ -130,15 +137,16 @@ def _show_end(end: EndOfRun) -> None:
         error = 100 * math.dist(pose[:2], end.true[:2])
         turn = math.degrees(wrap(float(pose[2] - end.true[2])))
         rows.append((name, *_coordinates(pose), f"{error:.1f} cm, {turn:+.2f} deg"))
-    console.show_table(("end of the path", "x", "y", "heading", "error"), rows, numbers=4)
+    header = ("end of the path", "x, m", "y, m", "heading, deg", "error")
+    console.show_table(header, rows, numbers=4)
 
 
 def _coordinates(pose: Array) -> tuple[str, str, str]:
-    return f"{pose[0]:.3f}", f"{pose[1]:.3f}", f"{math.degrees(pose[2]):.2f}"
+    return f"{pose[0]:z.3f}", f"{pose[1]:z.3f}", f"{degrees(pose[2]):z.2f}"
 
 
 def _show_times(clock: DemoClock, outcome: Outcome | None) -> None:
-    """Print the time of each part and the median time of each stage."""
+    """Print the time of each part and the median time of each stage of mapping."""
     parts = [f"{name} {seconds:.1f} s" for name, seconds in clock.parts.items()]
     if clock.compiling > MIN_COMPILE_TIME:
         parts.append(f"compile {clock.compiling:.1f} s (first run only)")

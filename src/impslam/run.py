@@ -197,7 +197,7 @@ class Run:
         """Return the keyframe with its scan and observations, or as it is if the scan does not fit."""
         if keyframe.reason == UNEXPLAINED:
             return keyframe
-        with self.clock("look"):
+        with self.clock("extract"):
             sweeps, row = keyframe.sweeps, keyframe.row
             observations = self.robot.observe(sweeps, row, self._rng)
             return replace(keyframe, scan=sweeps.scan(row), observations=observations)

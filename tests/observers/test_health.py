@@ -224,10 +224,11 @@ def test_a_robot_with_unknown_place_in_the_map_is_lost():
 
 def test_spans_report_the_longest_distance_and_the_smallest_share():
     reasons = np.array([OPEN, OPEN, NONE, UNEXPLAINED, UNEXPLAINED], np.int8)
-    health = Health(np.arange(5.0), reasons, np.array([1.0, 2.0, 0.0, 0.12, 0.3]))
+    health = Health(100.0 + np.arange(5.0), reasons, np.array([1.0, 2.0, 0.0, 0.12, 0.3]))
     assert [span.description for span in health.spans()] == [
         "nothing to see along the corridor for 2.0 m",
         "only 12 % of the scan fits the map; the map is not updated",
     ]
-    assert health.summary.startswith("TRACKING at 1 scans, DEGRADED at 4 scans; longest at 0.000 s")
+    states = "TRACKING at 1 scans, DEGRADED at 4 scans"
+    assert health.summary.startswith(states + "; longest 0.0 s after the start: nothing to see")
     assert health.summary.endswith("at the end DEGRADED: " + list(health.spans())[1].description)

@@ -125,7 +125,7 @@ def test_the_speed_is_that_without_compiling(tmp_path):
 
 def test_the_report_states_that_everything_was_used(tmp_path):
     text = write(tmp_path, outcome=runs.make_outcome(dropped={}))
-    assert "Everything in the log was used" in text
+    assert "None: all data of the log were used" in text
     many = {f"kind {i}": Dropped(1, "x") for i in range(3)}
     assert "kind 2" in write(tmp_path, outcome=runs.make_outcome(dropped=many))
 

@@ -23,7 +23,7 @@ def health_section(health: Health) -> str:
     spans = list(health.spans())
     counts = health.counts()
     keys = "".join(
-        f'<span class="key {state}">{state} {100.0 * counts[state] / len(health.stamps):.3g} %</span>'
+        f'<span class="key {state}">{state} {100.0 * counts[state] / len(health.stamps):.1f} %</span>'
         for state in STATES
         if counts[state]
     )

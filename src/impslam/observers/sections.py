@@ -42,7 +42,7 @@ def heading(outcome: Outcome, history: History) -> str:
     lost = sum(item.count for item in outcome.dropped.values())
     seconds = outcome.log_seconds
     facts = {
-        "Scans": (f"{scans:,}", f"{lost:,} problems in the log" if lost else "none dropped"),
+        "Scans": (f"{scans:,}", f"{lost:,} problems and notes" if lost else "no problems"),
         "Duration": (duration(seconds), f"{scans / seconds:.1f} scans/s" if seconds > 0 else ""),
         "Path": (f"{length(history.known, history.path):.1f} m", "estimated"),
         "Landmarks": (str(len(landmarks)), found),
@@ -167,23 +167,26 @@ def stages(outcome: Outcome) -> str:
     rows = []
     for name, seconds in outcome.stages.items():
         times = stage_times(seconds)
-        cells = ("–" if value is None else f"{value:.3f}" for value in times.values())
+        cells = ("–" if value is None else f"{value:.2f}" for value in times.values())
         rows.append(
             (name, *cells, f"{100 * np.sum(seconds) / max(outcome.wall_seconds, 1e-9):.0f} %")
         )
     header = ("stage", "mean ms", "median ms", "99 % ms", "of the run")
-    note = "Time per scan; settle runs once. The stages of a version's first run include compiling."
+    note = (
+        "sense: per block of the log; track: per group of sweeps up to a keyframe; extract, estimate: "
+        "per keyframe; settle: once. In the first run of a version, they include compiling."
+    )
     return section("Time", table(header, rows), note=note)
 
 
 def dropped(outcome: Outcome) -> str:
-    """Return the table of unused data and problems."""
+    """Return the table of dropped and suspicious data."""
     if not outcome.dropped:
-        return section("Not used", "<p>Everything in the log was used.</p>")
+        return section("Problems and notes", "<p>None: all data of the log were used.</p>")
     rows = [(kind, f"{d.count:,}", d.example) for kind, d in sorted(outcome.dropped.items())]
-    note = "Data that were dropped or looked wrong, with the first example of each kind."
-    header = ("problem", "times", "first example")
-    return section("Not used", table(header, rows, text=3), note=note)
+    note = "Data that were dropped or are suspicious, with the first example of each kind."
+    header = ("kind", "times", "first example")
+    return section("Problems and notes", table(header, rows, text=3), note=note)
 
 
 def details(outcome: Outcome) -> str:

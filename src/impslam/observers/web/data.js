@@ -70,5 +70,5 @@ function describeRow(k) {
   const spread = `1σ ${length(x)}, ${length(y)}, ${degrees(h)}`;
   const error = errors && !Number.isNaN(errors[k]) ? [`${length(errors[k])} from the truth`] : [];
   const t = path.state[k] ? health(path.t[k]) : STATES[0];
-  return [`${digits(path.t[k], 1)} s  ${place}`, spread, ...error, t];
+  return [`${digits(path.t[k], 1)} s, ${place}`, spread, ...error, t];
 }

@@ -162,6 +162,8 @@ class Health(NamedTuple):
         spans = list(self.spans())
         if not spans:
             return "TRACKING throughout"
+        if len(spans) == 1 and spans[0].scans == len(self.stamps):
+            return f"{spans[0].state} throughout: {spans[0].description}"
         counts = self.counts()
         line = ", ".join(f"{state} at {counts[state]} scans" for state in STATES if counts[state])
         worst = max(spans, key=lambda span: (span.reason >= ELSEWHERE, span.scans))

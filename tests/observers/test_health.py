@@ -232,3 +232,8 @@ def test_spans_report_the_longest_distance_and_the_smallest_share():
     states = "TRACKING at 1 scans, DEGRADED at 4 scans"
     assert health.summary.startswith(states + "; longest 0.0 s after the start: nothing to see")
     assert health.summary.endswith("at the end DEGRADED: " + list(health.spans())[1].description)
+
+
+def test_one_reason_throughout_is_said_once():
+    health = Health(np.arange(3.0), np.full(3, OPEN, np.int8), np.array([1.0, 2.0, 0.5]))
+    assert health.summary == "DEGRADED throughout: " + describe(OPEN, 2.0)

@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 
 import pytest
 
@@ -70,7 +71,10 @@ def test_files(imp, eight, tmp_path):
     assert "gyro: bias" in words
     loaded = load(config)
     assert loaded.sensors["lidar"]["mount"][0] == pytest.approx(0.15, abs=0.01)
-    assert config.read_text().startswith("# Calibrated from eight.mcap\n# wheel_radius: ")
+    comments = config.read_text("utf-8").splitlines()
+    assert comments[0] == "# Calibrated from eight.mcap"
+    assert re.fullmatch(r"# wheel_radius: ± [\d.e-]+ m", comments[1])
+    assert re.fullmatch(r"# right_left_ratio: ± [\d.e-]+", comments[2]), "a ratio has no unit"
     assert config.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
     told = json.loads(numbers.read_text())
     assert told["config"]["sensors"]["lidar"]["mount"] == list(loaded.sensors["lidar"]["mount"])

@@ -53,7 +53,8 @@ def map_arena(
             scans = write_log(world, log, seed, progress)
         interruption.check()
         if not quiet:
-            console.echo(f"recorded {scans} scans, wheel encoders and gyro to {LOG}; mapping ...")
+            place = (output or folder) / LOG
+            console.echo(f"recorded {scans} scans, wheel encoders and gyro to {place}; mapping ...")
         with clock("map and report"):
             chosen, source = open_log(log, config, [f"start={start}", f"seed={seed}", *settings])
             true = world.landmarks()

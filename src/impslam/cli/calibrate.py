@@ -116,7 +116,9 @@ def _calibrate(  # see `calibrate`
         picture = calibration_png(found, f"Calibration from {names}")
         write_bytes(output.with_suffix(".png"), picture)
     comments = [
-        f"{one.name}: +- {one.sigma:.2g} {one.unit}" for one in found.parameters if one.observable
+        f"{one.name}: ± {one.sigma:.2g} {one.unit}".removesuffix(" 1")
+        for one in found.parameters
+        if one.observable
     ]
     return chosen, config_tables(found), comments
 
@@ -164,8 +166,8 @@ def _show(found: Calibration, keep: Sequence[str]) -> None:
     noise = [(s.name, s.unit, *_rounded(s.sigma, s.value, s.sigma)) for s in found.random_errors]
     console.show_table(("random error", "unit", "found", "std"), noise, numbers=2)
     for gyro in {drive.gyro for drive in found.drives if drive.gyro is not None}:
-        bias = " +- ".join(_rounded(gyro.bias_sigma, gyro.bias, gyro.bias_sigma))
-        scale = " +- ".join(_rounded(gyro.scale_sigma, gyro.scale, gyro.scale_sigma))
+        bias = " ± ".join(_rounded(gyro.bias_sigma, gyro.bias, gyro.bias_sigma))
+        scale = " ± ".join(_rounded(gyro.scale_sigma, gyro.scale, gyro.scale_sigma))
         console.echo(f"gyro: bias {bias} rad/s, true / measured rate {scale}")
 
 

@@ -133,7 +133,7 @@ def _show(tracked: Tracked, setup: Setup) -> None:
         x, y = cylinder.centre
         sigma = 1e3 * float(np.sqrt(np.trace(cylinder.covariance)))
         console.echo(
-            f"cylinder {number}: x {x:.3f}  y {y:.3f}  radius {cylinder.radius:.3f} m, +- {sigma:.1f} mm"
+            f"cylinder {number}: x {x:.3f}  y {y:.3f}  radius {cylinder.radius:.3f} m, ± {sigma:.1f} mm"
         )
 
 

@@ -37,8 +37,8 @@ def _turned(e: Evidence, yaw: float, off: float, sigma: float) -> Finding:
     if not e.is_mount_given:
         x = e.axis.ahead if e.axis is not None else x
     what = (
-        f"the laser is turned by {math.degrees(yaw):.1f} ± {math.degrees(sigma):.1f} deg from the "
-        f"direction in which the robot drives; its mount says {math.degrees(e.lidar.mount[2]):.1f} deg"
+        f"the laser is turned by {math.degrees(yaw):.2f} ± {math.degrees(sigma):.2f} deg from the "
+        f"direction in which the robot drives; its mount says {math.degrees(e.lidar.mount[2]):.2f} deg"
     )
     advice = ""
     if abs(off) > math.radians(135.0):

@@ -5,6 +5,7 @@ import re
 import shlex
 import shutil
 import tomllib
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -52,8 +53,12 @@ def test_a_page_does_what_it_says(name, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(video, "SIZE", 200)
     for example in (ROOT / "examples").glob("*.py"):
         shutil.copy(example, tmp_path)
-    for language, text in blocks(ROOT / "docs" / f"{name}.md", "sh", "toml", "python"):
-        if language == "python":
+    languages = "sh", "toml", "python", "text"
+    printed_last, page = "", blocks(ROOT / "docs" / f"{name}.md", *languages)
+    for (language, text), (following, _) in pairwise([*page, ("", "")]):
+        if language == "text":
+            assert_shown(text, printed_last)
+        elif language == "python":
             exec(text, {})
         elif language == "toml":
             file = re.match(r"# (\S+\.toml)\n", text)
@@ -63,9 +68,44 @@ def test_a_page_does_what_it_says(name, tmp_path, monkeypatch, capsys):
                 load(file[1])
         else:
             assert len(commands(text)) == len(text.splitlines()), "each line is one command"
+            quiet = () if following == "text" else ("--quiet",)
             for words in commands(text):
-                assert main([*words, "--quiet"]) == 0, words
-    assert capsys.readouterr().err == ""
+                assert main([*words, *quiet]) == 0, words
+            said = capsys.readouterr()
+            printed_last = said.out
+            assert said.err == ""
+
+
+def assert_shown(text, output):
+    """Check that an output has the lines of a page, also if only a part of each or with other breaks.
+
+    Numbers may differ by a tenth, by 3 mm or mrad, or by two units of the last digit.
+    """
+    words = output.split()
+    for line in text.splitlines():
+        shown = line.split()
+        starts = range(len(words) - len(shown) + 1)
+        assert any(alike(shown, words[k : k + len(shown)]) for k in starts), (line, output)
+
+
+def alike(shown, words):
+    """Return whether words are equal, except for their numbers, which are close."""
+    if [NUMBER.sub("#", w) for w in shown] != [NUMBER.sub("#", w) for w in words]:
+        return False
+    pairs = zip(NUMBER.findall(" ".join(shown)), NUMBER.findall(" ".join(words)), strict=True)
+    return all(abs(float(a) - float(b)) <= tolerance(a) for a, b in pairs)
+
+
+def tolerance(number):
+    """Return by how much a number may differ from the one on the page."""
+    return max(0.1 * abs(float(number)), 3e-3, 2 * 10.0 ** -len(number.partition(".")[2]))
+
+
+def test_an_output_is_compared_with_the_page():
+    assert_shown("scans 912 used\nRMS 0.0043", "log a.mcap\nscans   910 used\nRMS 0.0045 m")
+    for other in ("scans 700 used", "scans 912 lost", "scans 912"):
+        with pytest.raises(AssertionError):
+            assert_shown("scans 912 used", other)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)

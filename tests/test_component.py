@@ -86,6 +86,7 @@ def test_near_miss_lists_all_where_none_is_near():
         ({}, "lacks 'kind'"),
         ("ekf", "expected a table"),
         ({"kind": "nothing", "widht": 1.0}, "mine.widht is not a parameter; did you mean 'width'?"),
+        ({"knd": "x", "kind": "nothing"}, "mine.knd is not a parameter; did you mean 'kind'?"),
         ({"kind": "nothing", "width": -1.0}, "mine.width"),
         ({"kind": "nothing", "width": "broad"}, "mine.width"),
     ],

@@ -10,7 +10,15 @@ from pathlib import Path
 import pytest
 
 from impslam.errors import ConfigError, ImpError
-from impslam.paths import is_file, keep_inputs, make_folder, numbered, replacement, written
+from impslam.paths import (
+    is_file,
+    keep_inputs,
+    make_folder,
+    numbered,
+    read_text,
+    replacement,
+    written,
+)
 
 
 def test_names_are_numbered_before_the_suffix(tmp_path: Path) -> None:
@@ -83,3 +91,15 @@ def test_the_user_of_a_full_disk_is_told_to_free_space(
     said = rf"cannot be written \(.*\); {advice}$"
     with pytest.raises(ImpError, match=said), written(tmp_path / "map.imp", "check the folder"):
         raise OSError(number, os.strerror(number))
+
+
+def test_a_text_that_cannot_be_read_is_explained_in_one_line(tmp_path: Path) -> None:
+    binary = tmp_path / "binary.toml"
+    binary.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ConfigError, match=r"none\.toml: no such file; look there$"):
+        read_text(tmp_path / "none.toml", "look there", ConfigError)
+    with pytest.raises(ConfigError, match=r"cannot be read as text \(.*decode.*\); look there$"):
+        read_text(binary, "look there", ConfigError)
+    folder = r"cannot be read as text \((Is a directory|Permission denied)\); look there$"
+    with pytest.raises(ConfigError, match=folder):
+        read_text(tmp_path, "look there", ConfigError)

@@ -268,7 +268,8 @@ def build(role: str, table: Any, where: str = "") -> Any:
     try:
         return cls(**rest)
     except ValidationError as error:
-        raise ConfigError(explain(error, where or role, cls.model_fields)) from None
+        known = {**cls.model_fields, "kind": None}
+        raise ConfigError(explain(error, where or role, known)) from None
 
 
 def _check_complete(cls: type[Component]) -> None:

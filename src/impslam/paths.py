@@ -1,4 +1,4 @@
-"""Files and folders: unused names, exchange, and write errors."""
+"""Files and folders: unused names, exchange, and errors of reading and writing."""
 
 from __future__ import annotations
 
@@ -127,3 +127,14 @@ def is_folder(path: Path) -> bool:
     with suppress(OSError, ValueError):
         return path.is_dir()
     return False
+
+
+def read_text(path: Path, advice: str, kind: type[ImpError] = ImpError) -> str:
+    """Return the contents of a text file in UTF-8; raise an `ImpError` with advice if that fails."""
+    try:
+        return path.read_text("utf-8")
+    except FileNotFoundError:
+        raise kind(f"{path}: no such file; {advice}") from None
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise kind(f"{path}: cannot be read as text ({reason}); {advice}") from None

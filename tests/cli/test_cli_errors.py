@@ -89,6 +89,12 @@ def test_too_many_arguments(imp, room) -> None:
     fails(imp("map", "info", "a", "b", "c"), "got b c; see imp map info --help")
 
 
+def test_too_few_arguments(imp) -> None:
+    fails(imp("map", "straighten", "a"), "imp map straighten: --output is missing; see")
+    fails(imp("run"), "imp run: LOG is missing; see imp run --help")
+    fails(imp("run", "a", "--set"), "imp run: --set needs a value; see imp run --help")
+
+
 def test_unknown_preset(imp, room) -> None:
     fails(imp("run", room, "-c", "imq"), "imq", "did you mean 'imp'?")
     fails(imp("config", "defalt"), "defalt", "did you mean 'default'?")

@@ -83,7 +83,7 @@ def test_errors_in_the_robot_are_one_line(imp, tmp_path) -> None:
         (["--set", "lidar.rate=-5"], "lidar.rate = -5"),
         (["--set", "lidar"], "expected key=value"),
         (["--robot", robot], "robot.toml: lidar.beam is not a parameter"),
-        (["--robot", tmp_path / "absent.toml"], "cannot be read"),
+        (["--robot", tmp_path / "absent.toml"], "no such file"),
     ):
         result = imp("simulate", "room", "-o", log, *options)
         assert result.code == 2

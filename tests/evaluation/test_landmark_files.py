@@ -70,7 +70,7 @@ def test_a_world_without_landmarks_is_preserved(tmp_path):
 
 
 def test_a_missing_file_is_one_line(tmp_path):
-    with pytest.raises(ImpError, match="cannot be read"):
+    with pytest.raises(ImpError, match="no such file"):
         read_true_landmarks(tmp_path / "none.csv")
 
 

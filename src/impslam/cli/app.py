@@ -8,7 +8,7 @@ import traceback
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from cyclopts import App, CycloptsError, UnusedCliTokensError
+from cyclopts import App, CycloptsError, MissingArgumentError, UnusedCliTokensError
 
 import impslam
 from impslam.cli import pipes, startup_notice
@@ -190,6 +190,11 @@ def _run_command(words: list[str]) -> None:
         unused = " ".join(error.unused_tokens or ())
         text = f"{name} takes no further argument, but got {unused}; see {name} --help"
         raise ImpError(text) from error
+    except MissingArgumentError as error:
+        name = " ".join(("imp", *(error.command_chain or ())))
+        what = error.argument.names[0] if error.argument is not None else "an argument"
+        lack = "needs a value" if error.keyword else "is missing"
+        raise ImpError(f"{name}: {what} {lack}; see {name} --help") from error
     configure_logging(bound.arguments.get("common"))
     run: Callable[..., object] = command
     startup_notice.begin(words)

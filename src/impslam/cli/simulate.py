@@ -121,11 +121,9 @@ def load_robot(file: Path | None = None, settings: Sequence[str] = ()) -> Simula
 
 def _read_table(file: Path) -> dict[str, Any]:
     from impslam import toml
+    from impslam.paths import read_text
 
-    try:
-        return toml.parse(file.read_text("utf-8"), str(file))
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{file}: cannot be read as text ({error}); check --robot") from None
+    return toml.parse(read_text(file, "check --robot", ConfigError), str(file))
 
 
 def truth_path(log: Path) -> Path:

@@ -6,6 +6,7 @@ A surveyed list needs only `x,y`, or `x1,y1,x2,y2` for walls; missing names and 
 from __future__ import annotations
 
 import csv
+import io
 import math
 from collections import Counter
 from collections.abc import Iterable, Mapping
@@ -15,6 +16,7 @@ import numpy as np
 
 from impslam.errors import ImpError
 from impslam.evaluation.landmarks import true_wall
+from impslam.paths import read_text
 from impslam.types import Array, TrueLandmark
 
 TRUE_LANDMARKS = "truth.landmarks.csv"
@@ -60,11 +62,11 @@ def read_true_landmarks(path: Path) -> list[TrueLandmark]:
     ImpError
         If the file is missing or empty, or a row is not a landmark.
     """
+    text = read_text(path, "check the path").removeprefix("\ufeff")  # the BOM of spreadsheets
     try:
-        with path.open(newline="", encoding="utf-8-sig") as stream:
-            table = csv.DictReader(stream, strict=True)
-            rows, columns = list(table), tuple(table.fieldnames or ())
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        table = csv.DictReader(io.StringIO(text), strict=True)
+        rows, columns = list(table), tuple(table.fieldnames or ())
+    except csv.Error as error:
         raise ImpError(f"{path}: cannot be read as a table ({error}); check the path") from None
     if not rows and columns != COLUMNS:
         raise ImpError(f"{path}: contains no landmark; it needs the columns {','.join(COLUMNS)}")

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from impslam.errors import ImpError
+from impslam.paths import read_text
 from impslam.types import Array
 
 TRUTH = "truth.tum"
@@ -89,10 +90,7 @@ def read_numbers(
     ImpError
         If the file cannot be read, or a row does not have `columns` such numbers.
     """
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise ImpError(f"{path}: cannot be read as text ({error}); check the path") from None
+    lines = read_text(path, "check the path").splitlines()
     if head and lines[:1] != [head]:
         raise ImpError(f"{path}: does not begin with {head!r}; write it again with `imp run`")
     for number, line in enumerate(lines, 1):

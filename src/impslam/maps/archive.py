@@ -100,7 +100,9 @@ def load(
         raise ImpError(f"{path}: {error}") from None
     except _DAMAGE as error:
         reason = " ".join(str(error).split())[:200] or type(error).__name__
-        raise ImpError(f"{path}: not a map, or damaged ({reason}); save it again") from None
+        raise ImpError(
+            f"{path}: not a map, or damaged ({reason}); give a map that impslam has saved"
+        ) from None
 
 
 def is_map(path: Path) -> bool:

@@ -21,6 +21,7 @@ from impslam import toml
 from impslam.component import explain
 from impslam.errors import ConfigError
 from impslam.parameters import Parameters, parameter
+from impslam.paths import read_text
 
 Dictionary = Literal[
     "APRILTAG_16h5", "APRILTAG_25h9", "APRILTAG_36h11", "4X4_50", "5X5_100", "6X6_250", "ARUCO_ORIGINAL"
@@ -106,11 +107,7 @@ def load_setup(path: Path) -> Setup:
     ConfigError
         If the file cannot be read or is invalid, with one line that names the file and the key.
     """
-    try:
-        text = path.read_text("utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        why = f"cannot be read as text ({error}); name the setup of the camera with --setup FILE"
-        raise ConfigError(f"{path}: {why}") from None
+    text = read_text(path, "name the setup of the camera with --setup FILE", ConfigError)
     try:
         return Setup.model_validate(toml.parse(text, str(path)))
     except ValidationError as error:

@@ -20,6 +20,7 @@ from impslam import toml
 from impslam.component import near_miss
 from impslam.errors import ConfigError
 from impslam.parameters import Parameters, parameter
+from impslam.paths import read_text
 from impslam.types import Array, TrueLandmark
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -229,10 +230,7 @@ def load_world(name_or_path: str | Path) -> World:
     if not path.is_file():
         hint = near_miss(name, shipped_worlds())
         raise ConfigError(f"{name}: no such world or file; {hint}")
-    try:
-        return parse_world(path.read_text("utf-8"), name)
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{name}: cannot be read as text ({error}); check the file") from None
+    return parse_world(read_text(path, "check the file", ConfigError), name)
 
 
 def parse_world(text: str, where: str) -> World:

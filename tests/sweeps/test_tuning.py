@@ -2,9 +2,11 @@
 
 import json
 import math
+import sys
 
 import pytest
 
+from impslam import extras
 from impslam.config import load
 from impslam.errors import ConfigError, ImpError
 from impslam.sweeps.cases import find_log
@@ -165,3 +167,11 @@ def test_a_range_with_an_invalid_end_is_rejected():
     with pytest.raises(ConfigError, match=r"sensors.lidar.sigma = 500"):
         task.space(["sensors.lidar.sigma=0.001:500.0"])
     assert json.dumps(list(task.values(task.space([]))))
+
+
+def test_without_optuna_the_error_names_an_installable_package(tmp_path, monkeypatch):
+    """The extra `impslam[tune]` is on no index; its packages are."""
+    monkeypatch.setitem(sys.modules, "optuna", None)
+    monkeypatch.setattr(extras, "requires", lambda name: ["optuna>=4; extra == 'tune'"])
+    with pytest.raises(ConfigError, match="install it with `pip install 'optuna>=4'`"):
+        open_study(tmp_path, BASE, SPACE)

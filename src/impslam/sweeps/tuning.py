@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from impslam.errors import ConfigError, ImpError
+from impslam.extras import install
 from impslam.sweeps.cases import Case, Settings, plain
 from impslam.sweeps.measures import run_case
 from impslam.sweeps.pool import Pool, ProcessDied
@@ -53,9 +54,7 @@ def open_study(folder: Path, base: Settings, space: Space) -> Any:
         from optuna.storages import JournalStorage  # noqa: PLC0415
         from optuna.storages.journal import JournalFileBackend  # noqa: PLC0415
     except ImportError:
-        raise ConfigError(
-            "imp tune needs Optuna; install it with pip install 'impslam[tune]'"
-        ) from None
+        raise ConfigError(f"imp tune needs Optuna; install it with `{install('tune')}`") from None
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     folder.mkdir(parents=True, exist_ok=True)
     study = optuna.create_study(

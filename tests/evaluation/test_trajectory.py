@@ -124,7 +124,6 @@ def test_relative_error_of_a_scaled_path():
     assert metres.count == 91
     assert metres.rmse == pytest.approx(0.02)
     assert radians.max == 0.0
-    assert rpe(PosePairs(x, estimate, truth), 2.0, "s")[0].max == pytest.approx(0.04)
 
 
 @settings(deadline=None)  # compiles
@@ -138,10 +137,10 @@ def test_relative_error_does_not_depend_on_the_frame(T):
     assert here[0].rmse == pytest.approx(there[0].rmse, rel=1e-6)
 
 
-@pytest.mark.parametrize(("delta", "unit"), [(1e6, "m"), (0.0, "s"), (1.0, "km")])
-def test_stretches_that_cannot_be_are_one_line(delta, unit):
+@pytest.mark.parametrize("delta", [1e6, 0.0])
+def test_stretches_that_cannot_be_are_one_line(delta):
     with pytest.raises(ImpError, match="rpe over"):
-        rpe(PosePairs(circle()[:, 0], circle()[:, 1:], circle()[:, 1:]), delta, unit)
+        rpe(PosePairs(circle()[:, 0], circle()[:, 1:], circle()[:, 1:]), delta)
 
 
 def positions(rows):

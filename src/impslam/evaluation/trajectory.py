@@ -164,11 +164,11 @@ def ate(pairs: PosePairs, aligned: bool = True) -> Statistics:
     return statistics(position_errors(pairs.aligned() if aligned else pairs))
 
 
-def rpe(pairs: PosePairs, delta: float, unit: str = "m") -> tuple[Statistics, Statistics]:
-    """Return the relative pose error in m and in rad over a stretch (Sturm et al. 2012, Eq. 1-2).
+def rpe(pairs: PosePairs, delta: float) -> tuple[Statistics, Statistics]:
+    """Return the relative pose error in m and in rad over `delta` m of the true path.
 
-    `delta` is m of true path (unit "m") or s (unit "s"); a stretch begins at every pose and ends at the
-    first pose at least delta further on. Stretches that begin without a heading have no error; if all do,
+    See Sturm et al. 2012, Eq. 1-2. A stretch begins at every pose and ends at the first pose at least
+    delta further on. Stretches that begin without a heading have no error; if all do,
     the statistics are NaN.
 
     Raises
@@ -176,14 +176,12 @@ def rpe(pairs: PosePairs, delta: float, unit: str = "m") -> tuple[Statistics, St
     ImpError
         If the trajectory is shorter than delta.
     """
-    if unit not in ("m", "s"):
-        raise ImpError(f"rpe over {unit!r}: the unit is 'm' or 's'")
     steps = np.hypot(*np.diff(pairs.truth[:, :2], axis=0).T)
-    along = np.concatenate(([0.0], np.cumsum(steps))) if unit == "m" else pairs.stamps
+    along = np.concatenate(([0.0], np.cumsum(steps)))
     ends = np.searchsorted(along, along + delta * (1.0 - 1e-12))
     begins = np.flatnonzero(ends < len(along))
     if len(begins) == 0 or delta <= 0.0:
-        raise ImpError(f"rpe over {delta:g} {unit}: the trajectory has no such stretch")
+        raise ImpError(f"rpe over {delta:g} m: the trajectory has no such stretch")
     ends = ends[begins]
     true = relative(pairs.truth[begins], pairs.truth[ends])
     error = relative(true, relative(pairs.estimate[begins], pairs.estimate[ends]))

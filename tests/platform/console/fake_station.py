@@ -205,8 +205,8 @@ class FakeStore:
         self.kept.append(StoredLog(one.original, one.size, time.time(), False, False, math.nan))
         return Path(one.original)
 
-    def purge(self, name: str | None = None) -> None:
-        self.binned = [] if name is None else [one for one in self.binned if one.name != name]
+    def purge(self) -> None:
+        self.binned = []
 
 
 class FakeMaps:
@@ -236,8 +236,8 @@ class FakeMaps:
         self.kept.append(found[1])
         return Path(found[1].name)
 
-    def purge(self, name: str | None = None) -> None:
-        self.binned = [pair for pair in self.binned if name not in (None, pair[0].name)]
+    def purge(self) -> None:
+        self.binned = []
 
 
 class FakeRecorder:

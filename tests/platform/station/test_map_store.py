@@ -87,7 +87,7 @@ def test_the_map_that_is_being_made_is_not_deleted(folder):
 def test_only_maps_of_the_folder_are_accessible(folder, name):
     store = MapStore(folder)
     store.delete("map-2")
-    for act in (store.path, store.delete, store.restore, store.purge):
+    for act in (store.path, store.delete, store.restore):
         with pytest.raises(StoreError, match="no such map"):
             act(name)
 

@@ -116,22 +116,20 @@ class Shelf:
             self._move(self._path(self._bin, name), target)
             return target
 
-    def purge(self, name: str | None = None) -> None:
-        """Delete one entry of the recycle bin, or all, permanently.
+    def purge(self) -> None:
+        """Delete all entries of the recycle bin permanently.
 
         Raises
         ------
         StoreError
-            If there is no such entry in the recycle bin, or the disk refuses.
+            If the disk refuses.
         """
         with self._lock:
-            for each in [binned.name for binned in self.bin()] if name is None else [name]:
-                self._original(each)
-                binned = self._bin / each if name is None else self._path(self._bin, each)
+            for binned in self.bin():
                 try:
-                    _remove(binned)
+                    _remove(self._bin / binned.name)
                 except OSError as error:
-                    raise self._refusal(each, error) from None
+                    raise self._refusal(binned.name, error) from None
 
     def _make_bin(self) -> None:
         if self._bin.is_symlink():

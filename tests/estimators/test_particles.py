@@ -8,8 +8,8 @@ from tests.numeric import wrapped
 from impslam.association.mahalanobis import Mahalanobis
 from impslam.component import build
 from impslam.errors import ConfigError
-from impslam.estimators.particle_book import Book
 from impslam.estimators.particle_kernels import systematic
+from impslam.estimators.particle_landmarks import LandmarkTable
 from impslam.estimators.particles import Particles
 from impslam.filters.ekf import Ekf
 from impslam.landmarks.point import Cylinder
@@ -69,28 +69,28 @@ def test_sampling_with_the_scan_keeps_more_particles():
 
 
 def test_survivors_share_landmarks_until_one_corrects_its_own():
-    book = Book("cylinder", Cylinder(), 4)
-    book.add(0, -1, 0.0, np.arange(4), np.arange(8.0).reshape(4, 2), np.tile(np.eye(2), (4, 1, 1)))
-    book.resample(np.array([1, 1, 1, 3]))
-    assert len(set(book.rows[:3, 0])) == 1
-    assert sorted(book.users[book.users > 0]) == [1, 3]
-    rows = book.unshare(np.array([0, 2, 3]), np.zeros(3, np.int64))
+    table = LandmarkTable("cylinder", Cylinder(), 4)
+    table.add(0, -1, 0.0, np.arange(4), np.arange(8.0).reshape(4, 2), np.tile(np.eye(2), (4, 1, 1)))
+    table.resample(np.array([1, 1, 1, 3]))
+    assert len(set(table.rows[:3, 0])) == 1
+    assert sorted(table.users[table.users > 0]) == [1, 3]
+    rows = table.unshare(np.array([0, 2, 3]), np.zeros(3, np.int64))
     assert len(set(rows)) == 3
-    assert len(set(book.rows[:, 0])) == 4
-    np.testing.assert_array_equal(book.m[book.rows[:3, 0]], [[2.0, 3.0]] * 3)
-    book.m[rows] += 1.0
-    np.testing.assert_array_equal(book.m[book.rows[1, 0]], [2.0, 3.0])
+    assert len(set(table.rows[:, 0])) == 4
+    np.testing.assert_array_equal(table.m[table.rows[:3, 0]], [[2.0, 3.0]] * 3)
+    table.m[rows] += 1.0
+    np.testing.assert_array_equal(table.m[table.rows[1, 0]], [2.0, 3.0])
 
 
 def test_the_pool_grows_with_what_differs_and_no_further():
     made, rng = started(particles=50), np.random.default_rng(5)
     for pose, motion in drive(60, rng):
         made.add(keyframe(motion, observe(pose, rng)))
-    for book in made._books.values():
-        assert (book.users > 0).sum() <= book.rows.size
-        assert len(book.m) <= 2 * book.rows.size + 256
+    for table in made._tables.values():
+        assert (table.users > 0).sum() <= table.rows.size
+        assert len(table.m) <= 2 * table.rows.size + 256
         np.testing.assert_array_equal(
-            book.users, np.bincount(book.rows[book.rows >= 0], minlength=len(book.users))
+            table.users, np.bincount(table.rows[table.rows >= 0], minlength=len(table.users))
         )
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from impslam.filters.belief import POSE, GaussianBelief
-from impslam.filters.update import among, gain, innovation_covariance, put_sight, solve
+from impslam.filters.update import among, gain, innovation_covariance, put_rows, solve
 
 
 def random_belief(rng, landmarks=70):
@@ -78,7 +78,7 @@ def test_kinds_are_put_one_after_another(rng):
     z_D_pose, z_D_m, noise = (rng.normal(size=(2, 2, size)) for size in (3, 2, 2))
     predicted = np.array([[1.0, 3.0], [2.0, 0.5]]), z_D_pose, z_D_m
     seen = np.array([[1.5, -3.0], [2.0, 0.5]]), noise
-    put_sight((H, R, nu), (1, 4), seen, predicted, np.array([False, True]))
+    put_rows((H, R, nu), (1, 4), seen, predicted, np.array([False, True]))
     np.testing.assert_allclose(nu, [0.0, 0.5, 2.0 * np.pi - 6.0, 0.0, 0.0])
     rows = slice(1, 5)
     expected_H, expected_R = np.zeros_like(H), np.zeros_like(R)

@@ -6,8 +6,8 @@ from tests.filters.worlds import CYLINDERS, MODELS, drive, observe, step
 
 from impslam.filters.ekf import Ekf
 from impslam.filters.fej import FirstEstimatesEkf
+from impslam.filters.matched_scan import MatchedKind
 from impslam.filters.oc import ObservabilityConstrainedEkf, unobserving
-from impslam.filters.scene import Sight
 from impslam.filters.symmetry import pose_D_motion
 
 START_SIGMA = 0.3
@@ -57,10 +57,10 @@ def test_it_stays_nearer_to_the_newest_jacobians_than_first_estimates_do():
     belief.predict(increment)
     table, places = belief._atlas.table("cylinder"), np.arange(len(CYLINDERS))
     states = table.states(belief.belief.mean)
-    sight = Sight(table, places, belief.pose, states)
+    kind = MatchedKind(table, places, belief.pose, states)
 
     def jacobian(cls):
-        there = cls._expect(belief, sight, belief.pose, states)
+        there = cls._expect(belief, kind, belief.pose, states)
         return np.concatenate([there.z_D_pose, there.z_D_m], axis=2)
 
     newest = jacobian(Ekf)

@@ -40,7 +40,7 @@ from impslam.estimators.grid_kernels import ancestors, lineage, propose
 from impslam.estimators.keyframe_log import KeyframeLog
 from impslam.estimators.particle_kernels import axes, systematic
 from impslam.estimators.sampling import moved, normalised
-from impslam.estimators.surface_book import SurfaceBook
+from impslam.estimators.shared_maps import SharedMaps
 from impslam.geometry.angles import wrap
 from impslam.geometry.roots import root
 from impslam.geometry.se2 import compose
@@ -93,7 +93,7 @@ class GridParticles(Estimator):
     _models: Mapping[str, LandmarkModel] = PrivateAttr()
     _rng: np.random.Generator = PrivateAttr()
     _keys: KeyframeLog = PrivateAttr()
-    _book: SurfaceBook = PrivateAttr()
+    _maps: SharedMaps = PrivateAttr()
     _poses: Array = PrivateAttr()
     """(P, 3) current poses; `_drawn` has those at each keyframe before resampling."""
     _drawn: GrowingArray = PrivateAttr()
@@ -113,7 +113,7 @@ class GridParticles(Estimator):
         """Begin at a pose (3,) with an empty map; see `Estimator.start`."""
         P = self.particles
         self._models, self._rng = parts["models"], np.random.default_rng(self.seed)
-        self._keys, self._book = KeyframeLog(), SurfaceBook(P)
+        self._keys, self._maps = KeyframeLog(), SharedMaps(P)
         self._poses = np.tile(np.asarray(pose, np.float64), (P, 1))
         self._drawn, self._covariances = GrowingArray(P, 3), GrowingArray(3, 3)
         self._parents, self._rows = GrowingArray(P, dtype=np.int64), np.arange(P)
@@ -133,9 +133,9 @@ class GridParticles(Estimator):
         if view is None or not len(view.features):
             u, L = np.zeros((self.particles, 3)), np.tile(np.eye(3), (self.particles, 1, 1))
         else:
-            book, how = self._book, self._alignment()
-            maps = book.maps, book.tables, book.origin
-            u, L, cost = propose(book.tiles, maps, view.features, guesses, roots, how)
+            maps, how = self._maps, self._alignment()
+            tables = maps.maps, maps.tables, maps.origin
+            u, L, cost = propose(maps.tiles, tables, view.features, guesses, roots, how)
             self._add_cost(cost + np.linalg.slogdet(L)[1])
         u[1:] += np.linalg.solve(
             np.linalg.cholesky(L).swapaxes(1, 2), self._rng.standard_normal((self.particles, 3, 1))
@@ -188,7 +188,7 @@ class GridParticles(Estimator):
         parents = systematic(weights, self._rng.random())
         self._rows, self._poses = parents, self._poses[parents]
         self._scores, self._log_weights = self._scores[parents], np.zeros(self.particles)
-        self._book.resample(parents)
+        self._maps.resample(parents)
         heirs = np.flatnonzero(parents == self._leader)
         self._leader = int(heirs[0] if len(heirs) else self._scores.argmax())
         self._resamplings += 1
@@ -205,7 +205,7 @@ class GridParticles(Estimator):
             if view is None or not len(view.features):
                 continue
             lines = ancestors(self._parents.array, self._rows, newest - k)
-            self._book.add(view.features, self._drawn.array[k, lines], lines)
+            self._maps.add(view.features, self._drawn.array[k, lines], lines)
 
     def _path(self) -> Array:
         """Return the poses (k, 3) of all keyframes of the leading lineage."""
@@ -236,7 +236,7 @@ class GridParticles(Estimator):
         lines = ancestors(self._parents.array, self._rows, len(self._keys)) if self._entered else ()
         return {
             "times particles were drawn anew": self._resamplings,
-            "tiles of surfaces": self._book.used,
+            "tiles of surfaces": self._maps.used,
             "lines of particles at the start": len(np.unique(lines)),
         }
 

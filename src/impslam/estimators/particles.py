@@ -34,9 +34,9 @@ from impslam.component import parameter, register
 from impslam.errors import ConfigError, NumericalError
 from impslam.estimators.base import MIN_SIGMA, Estimator, check_keyframe, is_finite
 from impslam.estimators.blur import blurred
-from impslam.estimators.particle_book import Book
+from impslam.estimators.particle_association import Cloud, ParticleMatches, associate, by_kind
 from impslam.estimators.particle_kernels import add_information, axes, correct, systematic
-from impslam.estimators.particle_sights import Cloud, ParticleMatches, associate, sights
+from impslam.estimators.particle_landmarks import LandmarkTable
 from impslam.estimators.sampling import moved, normalised
 from impslam.filters.base import Filter
 from impslam.geometry.angles import wrap
@@ -77,7 +77,7 @@ class Particles(Estimator):
     _rng: np.random.Generator = PrivateAttr()
     _poses: Array = PrivateAttr()
     _log_weights: Array = PrivateAttr()
-    _books: dict[str, Book] = PrivateAttr()
+    _tables: dict[str, LandmarkTable] = PrivateAttr()
     _mapped: set[int] = PrivateAttr()
     _next_id: int = PrivateAttr(default=0)
 
@@ -94,7 +94,7 @@ class Particles(Estimator):
         self._models, self._rng = parts["models"], np.random.default_rng(self.seed)
         self._poses = np.tile(np.asarray(pose, np.float64), (self.particles, 1))
         self._log_weights = np.zeros(self.particles)
-        self._books, self._mapped, self._next_id = {}, set(), 0
+        self._tables, self._mapped, self._next_id = {}, set(), 0
         self._lifecycle.start(self._models, association, tentative.fresh())
 
     def add(self, keyframe: Keyframe) -> Revision:
@@ -114,7 +114,7 @@ class Particles(Estimator):
         return self._revision(keyframe, refused=reason)
 
     def _add(self, keyframe: Keyframe, seen: tuple[Observation, ...]) -> Revision:
-        kinds = sights(seen, {o.kind: self._book(o.kind) for o in seen})
+        kinds = by_kind(seen, {o.kind: self._table(o.kind) for o in seen})
         cloud = self._predicted(keyframe.motion)
         choice = associate(seen, kinds, cloud, self._association)
         poses, cost = self._sample(choice.pairs, cloud)
@@ -169,9 +169,9 @@ class Particles(Estimator):
         information = np.tile(np.eye(3), (self.particles, 1, 1))
         vector, cost = np.zeros((self.particles, 3)), np.zeros(self.particles)
         for some in pairs:
-            predicted, (book, _, z, R, _) = some.predict(cloud.poses), some.sight
-            seen = book.model.residual(z[some.rows], predicted.z), R[some.rows]
-            P = book.P[book.rows[some.particles, some.slots]]
+            predicted, (table, _, z, R, _) = some.predict(cloud.poses), some.kind
+            seen = table.model.residual(z[some.rows], predicted.z), R[some.rows]
+            P = table.P[table.rows[some.particles, some.slots]]
             jacobians, out = (predicted.z_D_pose, predicted.z_D_m), (information, vector, cost)
             if not add_information(some.particles, cloud.roots, seen, jacobians, P, out):
                 raise NumericalError("the covariance of an innovation is not positive definite")
@@ -183,12 +183,12 @@ class Particles(Estimator):
 
     def _correct(self, pairs: ParticleMatches) -> None:
         """Correct the matched landmarks from the sampled poses."""
-        predicted, (book, _, z, R, _) = pairs.predict(self._poses), pairs.sight
-        nu = book.model.residual(z[pairs.rows], predicted.z)
-        rows = book.unshare(pairs.particles, pairs.slots)
-        P = book.P[rows]
+        predicted, (table, _, z, R, _) = pairs.predict(self._poses), pairs.kind
+        nu = table.model.residual(z[pairs.rows], predicted.z)
+        rows = table.unshare(pairs.particles, pairs.slots)
+        P = table.P[rows]
         steps = correct(nu, R[pairs.rows], predicted.z_D_m, P)
-        book.m[rows], book.P[rows] = book.model.retract(book.m[rows], steps), P
+        table.m[rows], table.P[rows] = table.model.retract(table.m[rows], steps), P
 
     def _note(
         self, seen: Sequence[Observation], matches: Sequence[Match], stamp: float
@@ -196,47 +196,49 @@ class Particles(Estimator):
         """Record the matches of the likeliest particle; return their observations by landmark id."""
         for match in matches:
             observation = seen[match.observation]
-            book, slot = self._find(match.landmark)
-            book.note(slot, stamp, observation.attributes)
-            self._widen(book, slot, observation)
+            table, slot = self._find(match.landmark)
+            table.note(slot, stamp, observation.attributes)
+            self._widen(table, slot, observation)
         return {match.landmark: match.observation for match in matches}
 
-    def _widen(self, book: Book, slot: int, observation: Observation) -> None:
+    def _widen(self, table: LandmarkTable, slot: int, observation: Observation) -> None:
         """Extend the extent of a landmark by an observation, in the map of one of its particles."""
-        if not book.model.has_extent or observation.end_points is None:
+        if not table.model.has_extent or observation.end_points is None:
             return
-        (p,) = np.flatnonzero(book.rows[:, slot] >= 0)[:1]
-        m, extent = book.m[book.rows[p, slot]], book.extents[slot]
-        begin, end = book.model.extents(self._poses[p], m[None], observation.end_points[None])[0]
+        (p,) = np.flatnonzero(table.rows[:, slot] >= 0)[:1]
+        m, extent = table.m[table.rows[p, slot]], table.extents[slot]
+        begin, end = table.model.extents(self._poses[p], m[None], observation.end_points[None])[0]
         extent[:] = min(extent[0], begin), max(extent[1], end)
 
     def _promote(self, seen: Sequence[Observation], share: Array, now: float) -> list[int]:
         """Return which observations that are new to most particles become landmarks."""
         unmatched = np.flatnonzero(share > MIN_WEIGHT).tolist()
-        is_empty = not any(len(book.ids) for book in self._books.values())
+        is_empty = not any(len(table.ids) for table in self._tables.values())
         promoted = self._lifecycle.promote([seen[i] for i in unmatched], now, is_empty)
         return [unmatched[k] for k in promoted]
 
     def _add_landmark(self, observation: Observation, holders: Ints, stamp: float) -> int:
         """Add a landmark to some particles (h,); return its id."""
-        book, number = self._book(observation.kind), self._next_id
+        table, number = self._table(observation.kind), self._next_id
         self._next_id += 1
-        new = [book.model.initialise(pose, observation) for pose in self._poses[holders]]
+        new = [table.model.initialise(pose, observation) for pose in self._poses[holders]]
         P = [i.m_D_z @ observation.R @ i.m_D_z.T + i.slack for i in new]
         label = -1 if observation.label is None else observation.label
-        book.add(number, label, stamp, holders, np.array([i.m for i in new]), np.array(P))
-        book.attributes[number] = dict(observation.attributes)
-        self._widen(book, len(book.ids) - 1, observation)
+        table.add(number, label, stamp, holders, np.array([i.m for i in new]), np.array(P))
+        table.attributes[number] = dict(observation.attributes)
+        self._widen(table, len(table.ids) - 1, observation)
         return number
 
     def _missed(self, keyframe: Keyframe, weights: Array, matches: Sequence[Match]) -> list[int]:
         """Return the landmarks to remove because the likeliest particle should see them but does not."""
         best = int(np.argmax(weights))
         ids, outlines = [], []
-        for book in (b for b in self._books.values() if not b.model.unique):
-            (slots,) = np.nonzero((book.rows[best] >= 0) & np.isin(book.ids, list(self._mapped)))
-            ids.append(book.ids[slots])
-            outlines.append(book.model.outline(book.m[book.rows[best, slots]], book.extents[slots]))
+        for table in (b for b in self._tables.values() if not b.model.unique):
+            (slots,) = np.nonzero((table.rows[best] >= 0) & np.isin(table.ids, list(self._mapped)))
+            ids.append(table.ids[slots])
+            outlines.append(
+                table.model.outline(table.m[table.rows[best, slots]], table.extents[slots])
+            )
         if keyframe.scan is None or not sum(map(len, ids)):
             return []
         known, ends = np.concatenate(ids), np.concatenate(outlines)
@@ -247,12 +249,12 @@ class Particles(Estimator):
         if 1.0 / (weights @ weights) < self.effective * self.particles:
             parents = systematic(weights, self._rng.random())
             self._poses, self._log_weights = self._poses[parents], np.zeros(self.particles)
-            for book in self._books.values():
-                book.resample(parents)
-        for book in self._books.values():
-            unused = (book.rows < 0).all(0) | np.isin(book.ids, list(gone))
+            for table in self._tables.values():
+                table.resample(parents)
+        for table in self._tables.values():
+            unused = (table.rows < 0).all(0) | np.isin(table.ids, list(gone))
             if unused.any():
-                book.forget(unused)
+                table.forget(unused)
 
     def _revision(self, keyframe: Keyframe, **facts: Any) -> Revision:
         """Return the mean and the covariance of the particles' poses."""
@@ -270,7 +272,7 @@ class Particles(Estimator):
         """Return the landmarks of most particles, in the form that users read."""
         weights = self._weights()
         return tuple(
-            book.landmark(slot, weights) for book, slot in map(self._find, sorted(self._mapped))
+            table.landmark(slot, weights) for table, slot in map(self._find, sorted(self._mapped))
         )
 
     @property
@@ -278,28 +280,28 @@ class Particles(Estimator):
         """Number of scalars in one particle."""
         return 3 + sum(self._find(number)[0].model.dim for number in self._mapped)
 
-    def _book(self, kind: str) -> Book:
-        if kind not in self._books:
+    def _table(self, kind: str) -> LandmarkTable:
+        if kind not in self._tables:
             if kind not in self._models:
                 raise ConfigError(
                     f"no landmark model for observations of kind {kind!r}; register one"
                 )
-            self._books[kind] = Book(kind, self._models[kind], self.particles)
-        return self._books[kind]
+            self._tables[kind] = LandmarkTable(kind, self._models[kind], self.particles)
+        return self._tables[kind]
 
-    def _find(self, number: int) -> tuple[Book, int]:
-        """Return the book of a landmark and its slot there; ids ascend."""
-        for book in self._books.values():
-            slot = int(np.searchsorted(book.ids, number))
-            if slot < len(book.ids) and book.ids[slot] == number:
-                return book, slot
+    def _find(self, number: int) -> tuple[LandmarkTable, int]:
+        """Return the table of a landmark and its slot there; ids ascend."""
+        for table in self._tables.values():
+            slot = int(np.searchsorted(table.ids, number))
+            if slot < len(table.ids) and table.ids[slot] == number:
+                return table, slot
         raise KeyError(number)
 
     def _shares(self, weights: Array) -> dict[int, float]:
         """Return the total weight of the particles that have each landmark."""
         shares: dict[int, float] = {}
-        for book in self._books.values():
-            shares.update(zip(book.ids.tolist(), book.shares(weights).tolist(), strict=True))
+        for table in self._tables.values():
+            shares.update(zip(table.ids.tolist(), table.shares(weights).tolist(), strict=True))
         return shares
 
     def _weights(self) -> Array:

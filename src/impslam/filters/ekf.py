@@ -23,9 +23,9 @@ from impslam.filters.atlas import Atlas, Table
 from impslam.filters.base import Filter, Reach, everything
 from impslam.filters.belief import POSE, GaussianBelief, rows_of
 from impslam.filters.gaussian import INDEFINITE, GaussianFilter
-from impslam.filters.scene import MatchedScan, Sight
+from impslam.filters.matched_scan import MatchedKind, MatchedScan
 from impslam.filters.scoring import angle_mask, score
-from impslam.filters.update import among, gain, innovation_covariance, put_sight, solve
+from impslam.filters.update import among, gain, innovation_covariance, put_rows, solve
 from impslam.geometry.angles import wrap
 from impslam.geometry.kernels import plain
 from impslam.geometry.se2 import rotation
@@ -108,12 +108,12 @@ class Ekf(GaussianFilter):
         self, observations: Sequence[Observation], pairs: Sequence[Match]
     ) -> tuple[Array, Array]:
         """Return innovation and S = H P H^T + R of all pairs, including their correlations."""
-        scene = MatchedScan(
+        scan = MatchedScan(
             self._belief.mean, self._atlas.pairs(observations, pairs), self._belief.errors
         )
-        H, R, innovation = self._linearise(scene, scene.pose, scene.states)
-        S = innovation_covariance(H, among(self._belief.P, scene.entries), R)
-        return innovation[scene.order], S[np.ix_(scene.order, scene.order)]
+        H, R, innovation = self._linearise(scan, scan.pose, scan.states)
+        S = innovation_covariance(H, among(self._belief.P, scan.entries), R)
+        return innovation[scan.order], S[np.ix_(scan.order, scan.order)]
 
     def correct(
         self, observations: Sequence[Observation], matches: Sequence[Match]
@@ -128,22 +128,22 @@ class Ekf(GaussianFilter):
             return None
         belief, pairs = self._belief, self._atlas.pairs(observations, matches)
         factors = self.noise_factors(matches)
-        scene, innovation = MatchedScan(belief.mean, pairs, belief.errors, factors), None
-        pose, states = scene.pose, scene.states
-        step = np.zeros(len(scene.entries))
+        scan, innovation = MatchedScan(belief.mean, pairs, belief.errors, factors), None
+        pose, states = scan.pose, scan.states
+        step = np.zeros(len(scan.entries))
         for iteration in range(self.iterations):
             if iteration:
-                pose, states = scene.moved(step)
-            system = self._linearise(scene, pose, states)
-            G, moved, (nis, log_det) = solve(system, belief.P, scene.entries, scene.moving, step)
+                pose, states = scan.moved(step)
+            system = self._linearise(scan, pose, states)
+            G, moved, (nis, log_det) = solve(system, belief.P, scan.entries, scan.moving, step)
             if math.isnan(log_det):
                 raise NumericalError(INDEFINITE)
             if innovation is None and factors is None:
-                innovation = Innovation(nis, scene.rows, log_det)
+                innovation = Innovation(nis, scan.rows, log_det)
             turned, step = abs(moved[2] - step[2]), moved
             if turned < self.tolerance:
                 break
-        self._finish(*gain(belief.P, belief.n, scene.entries, G))
+        self._finish(*gain(belief.P, belief.n, scan.entries, G))
         return innovation
 
     def _finish(self, W_T: Array, step: Array, of_pose: Array) -> None:
@@ -215,26 +215,26 @@ class Ekf(GaussianFilter):
         """
         table, places = self._atlas.of((one, other))
         pose, states = self.pose, table.states(self._belief.mean, places)
-        seen = self._expect(Sight(table, places, pose, states), pose, states)
+        seen = self._expect(MatchedKind(table, places, pose, states), pose, states)
         J = np.hstack([seen.z_D_pose[1] - seen.z_D_pose[0], -seen.z_D_m[0], seen.z_D_m[1]])
         entries = np.concatenate([np.arange(POSE), table.columns[places].ravel()])
         return table.model.residual(seen.z[1], seen.z[0]), entries, J
 
     def _linearise(
-        self, scene: MatchedScan, pose: Array, states: list[Array]
+        self, scan: MatchedScan, pose: Array, states: list[Array]
     ) -> tuple[Array, Array, Array]:
         """Return H, R and nu at estimates of the pose (3,) and of each kind's landmarks."""
-        system, row, entry = scene.system(), 0, POSE
-        for sight, seen, m in zip(scene.sights, scene.seen, states, strict=True):
-            z, z_D_pose, z_D_m = self._expect(sight, pose, m)
+        system, row, entry = scan.system(), 0, POSE
+        for kind, seen, m in zip(scan.kinds, scan.seen, states, strict=True):
+            z, z_D_pose, z_D_m = self._expect(kind, pose, m)
             predicted = plain(z), plain(z_D_pose), plain(z_D_m)
-            put_sight(system, (row, entry), seen, predicted, angle_mask(type(sight.table.model)))
+            put_rows(system, (row, entry), seen, predicted, angle_mask(type(kind.table.model)))
             row, entry = row + seen[0].size, entry + m.size
         return system
 
-    def _expect(self, sight: Sight, pose: Array, states: Array) -> Prediction:
+    def _expect(self, kind: MatchedKind, pose: Array, states: Array) -> Prediction:
         """Return predicted observations and Jacobians at the estimates of a correction."""
-        return sight.table.model.predict(pose, states)
+        return kind.table.model.predict(pose, states)
 
     def _initialise(self, table: Table, observation: Observation) -> Initial:
         """Return the new landmark of an observation, with Jacobians at the newest estimate."""

@@ -25,7 +25,7 @@ from impslam.component import register
 from impslam.filters.atlas import Table
 from impslam.filters.belief import POSE
 from impslam.filters.ekf import Ekf
-from impslam.filters.scene import Sight
+from impslam.filters.matched_scan import MatchedKind
 from impslam.filters.symmetry import pose_D_motion
 from impslam.geometry.se2 import compose, rotation
 from impslam.landmarks.base import Initial, LandmarkModel, Prediction
@@ -80,10 +80,10 @@ class FirstEstimatesEkf(Ekf):
             self._belief.keep(remaining)
             self._first = self._first[remaining]
 
-    def _expect(self, sight: Sight, pose: Array, states: Array) -> Prediction:
-        now = super()._expect(sight, pose, states)
-        table = sight.table
-        first = table.model.predict(self._first[:POSE], table.states(self._first, sight.places))
+    def _expect(self, kind: MatchedKind, pose: Array, states: Array) -> Prediction:
+        now = super()._expect(kind, pose, states)
+        table = kind.table
+        first = table.model.predict(self._first[:POSE], table.states(self._first, kind.places))
         return now._replace(z_D_pose=first.z_D_pose, z_D_m=first.z_D_m)
 
     def _initialise(self, table: Table, observation: Observation) -> Initial:

@@ -23,7 +23,7 @@ from impslam.component import register
 from impslam.filters.belief import POSE
 from impslam.filters.ekf import Ekf
 from impslam.filters.fej import FirstEstimatesEkf
-from impslam.filters.scene import Sight
+from impslam.filters.matched_scan import MatchedKind
 from impslam.filters.symmetry import pose_D_motion
 from impslam.landmarks.base import Prediction
 from impslam.types import Array
@@ -39,10 +39,10 @@ def unobserving(J: Array, N: Array) -> Array:
 class ObservabilityConstrainedEkf(FirstEstimatesEkf):
     """The EKF with minimally changed Jacobians that keep unobservable directions unobservable."""
 
-    def _expect(self, sight: Sight, pose: Array, states: Array) -> Prediction:
-        now = Ekf._expect(self, sight, pose, states)
-        first = sight.table.states(self._first, sight.places)
+    def _expect(self, kind: MatchedKind, pose: Array, states: Array) -> Prediction:
+        now = Ekf._expect(self, kind, pose, states)
+        first = kind.table.states(self._first, kind.places)
         of_pose = np.broadcast_to(pose_D_motion(self._first[:POSE]), (len(first), POSE, 3))
-        N = np.concatenate([of_pose, sight.table.model.m_D_motion(first)], axis=1)
+        N = np.concatenate([of_pose, kind.table.model.m_D_motion(first)], axis=1)
         J = unobserving(np.concatenate([now.z_D_pose, now.z_D_m], axis=2), N)
         return now._replace(z_D_pose=J[..., :POSE], z_D_m=J[..., POSE:])

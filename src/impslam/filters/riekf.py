@@ -44,7 +44,7 @@ import numpy as np
 from impslam.component import parameter, register
 from impslam.filters.belief import POSE
 from impslam.filters.ekf import Ekf
-from impslam.filters.scene import Sight
+from impslam.filters.matched_scan import MatchedKind
 from impslam.filters.symmetry import pose_D_motion
 from impslam.geometry.kernels import kernel
 from impslam.landmarks.base import Prediction
@@ -182,11 +182,11 @@ class RightInvariantEkf(Ekf):
             for number, offset in zip(table.ids, table.offsets, strict=True)
         }
 
-    def _expect(self, sight: Sight, pose: Array, states: Array) -> Prediction:
+    def _expect(self, kind: MatchedKind, pose: Array, states: Array) -> Prediction:
         """Return predicted observations, with Jacobians in the perturbations before the correction."""
-        now = super()._expect(sight, pose, states)
-        if pose is sight.pose:
+        now = super()._expect(kind, pose, states)
+        if pose is kind.pose:
             return now
-        D = sight.table.model.m_D_motion(np.concatenate([sight.states, states]))
-        z_D_pose = _carried_back(now.z_D_pose, now.z_D_m, (sight.pose, pose), D)
+        D = kind.table.model.m_D_motion(np.concatenate([kind.states, states]))
+        z_D_pose = _carried_back(now.z_D_pose, now.z_D_m, (kind.pose, pose), D)
         return Prediction(now.z, z_D_pose, now.z_D_m)

@@ -18,7 +18,7 @@ from impslam.types import Array, Ints, Mask
 
 
 @kernel
-def put_sight(
+def put_rows(
     system: tuple[Array, Array, Array],
     at: tuple[int, int],
     seen: tuple[Array, Array],

@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from impslam.association.base import Association, Hypotheses
-from impslam.estimators.particle_book import Book
 from impslam.estimators.particle_kernels import gated_pairs
+from impslam.estimators.particle_landmarks import LandmarkTable
 from impslam.landmarks.base import Prediction
 from impslam.types import Array, Ints, Mask, Match, Observation
 
@@ -40,51 +40,57 @@ class Cloud(NamedTuple):
         return float(np.sqrt(x + y)), float(np.sqrt(theta))
 
 
-class Sight(NamedTuple):
+class KindObservations(NamedTuple):
     """The observations of one kind: `indices` (a,) in the scan, z (a, dz), R (a, dz, dz) and ends."""
 
-    book: Book
+    table: LandmarkTable
     indices: Ints
     z: Array
     R: Array
     ends: Array  # (a, 2, 2) m in base_link, end points of pieces of walls
 
     @classmethod
-    def of(cls, book: Book, observations: Sequence[Observation], indices: list[int]) -> Sight:
-        """Return the sight of some observations."""
+    def of(
+        cls, table: LandmarkTable, observations: Sequence[Observation], indices: list[int]
+    ) -> KindObservations:
+        """Return the observations with these indices (a,), all of one kind."""
         some = [observations[i] for i in indices]
         z, R = np.array([o.z for o in some], np.float64), np.array([o.R for o in some], np.float64)
-        model = book.model
+        model = table.model
         feet = model.outline(model.invert(_BASE, z), np.zeros((len(z), 2)))
         ends = [
             foot if o.end_points is None else o.end_points
             for o, foot in zip(some, feet, strict=True)
         ]
-        return cls(book, np.array(indices), z, R, np.array(ends, np.float64))
+        return cls(table, np.array(indices), z, R, np.array(ends, np.float64))
 
 
 class ParticleMatches(NamedTuple):
-    """n matches of one kind: particle, row of the observation in its sight, slot in its book."""
+    """n matches of one kind: particle, row among the observations of the kind, slot in its table."""
 
-    sight: Sight
+    kind: KindObservations
     particles: Ints
     rows: Ints
     slots: Ints
 
     def predict(self, poses: Array) -> Prediction:
         """Return the predicted observation of each landmark from its particle's pose; (n, ...) each."""
-        book = self.sight.book
-        m = book.m[book.rows[self.particles, self.slots]]
-        found = book.model.predict(poses[self.particles], m[:, None])
+        table = self.kind.table
+        m = table.m[table.rows[self.particles, self.slots]]
+        found = table.model.predict(poses[self.particles], m[:, None])
         return Prediction(found.z[:, 0], found.z_D_pose[:, 0], found.z_D_m[:, 0])
 
 
-def sights(observations: Sequence[Observation], books: Mapping[str, Book]) -> list[Sight]:
+def by_kind(
+    observations: Sequence[Observation], tables: Mapping[str, LandmarkTable]
+) -> list[KindObservations]:
     """Return the observations by kind."""
     kinds: dict[str, list[int]] = {}
     for i, observation in enumerate(observations):
         kinds.setdefault(observation.kind, []).append(i)
-    return [Sight.of(books[kind], observations, indices) for kind, indices in kinds.items()]
+    return [
+        KindObservations.of(tables[kind], observations, indices) for kind, indices in kinds.items()
+    ]
 
 
 class Choice(NamedTuple):
@@ -105,7 +111,7 @@ class Choice(NamedTuple):
 
 def associate(
     observations: tuple[Observation, ...],
-    seen: Sequence[Sight],
+    seen: Sequence[KindObservations],
     cloud: Cloud,
     association: Association,
 ) -> Choice:
@@ -114,13 +120,13 @@ def associate(
     This is one call of the association, with distinct ids for each particle's landmarks and observations.
     """
     count, observed = len(cloud.poses), len(observations)
-    stride = 1 + max((len(sight.book.ids) for sight in seen), default=0)
+    stride = 1 + max((len(kind.table.ids) for kind in seen), default=0)
     hypotheses = [
         _hypotheses(
-            sight, cloud, observed, stride, association.max_distance2(sight.book.model.dim_z)
+            kind, cloud, observed, stride, association.max_distance2(kind.table.model.dim_z)
         )
-        for sight in seen
-        if len(sight.book.ids)
+        for kind in seen
+        if len(kind.table.ids)
     ]
     chosen = association.assign(observations * count, hypotheses, _joint)
     new, matched = np.zeros(count * observed, np.bool_), np.zeros(count * observed, np.bool_)
@@ -129,15 +135,15 @@ def associate(
     matched[table[:, 0]] = True
     particles, which = np.divmod(table[:, 0], max(observed, 1))
     pairs, best = [], list[Match]()
-    for sight in seen:
+    for kind in seen:
         row_of = np.full(observed, -1)
-        row_of[sight.indices] = np.arange(len(sight.indices))
+        row_of[kind.indices] = np.arange(len(kind.indices))
         (mine,) = np.nonzero(row_of[which] >= 0)
         if len(mine):
             slots = table[mine, 1] % stride
-            pairs.append(ParticleMatches(sight, particles[mine], row_of[which[mine]], slots))
+            pairs.append(ParticleMatches(kind, particles[mine], row_of[which[mine]], slots))
             for n in np.flatnonzero(particles[mine] == cloud.best).tolist():
-                number, match = int(sight.book.ids[slots[n]]), chosen.matches[mine[n]]
+                number, match = int(kind.table.ids[slots[n]]), chosen.matches[mine[n]]
                 best.append(match._replace(observation=int(which[mine[n]]), landmark=number))
     best.sort(key=attrgetter("observation"))
     shape = count, observed
@@ -148,39 +154,41 @@ def _joint(*_: object) -> tuple[Array, Array]:
     raise NotImplementedError("particles evaluate pairings independently")
 
 
-def _hypotheses(sight: Sight, cloud: Cloud, observed: int, stride: int, gate: float) -> Hypotheses:
+def _hypotheses(
+    kind: KindObservations, cloud: Cloud, observed: int, stride: int, gate: float
+) -> Hypotheses:
     """Return the pairings of all particles inside the gate."""
-    book, model, count = sight.book, sight.book.model, len(cloud.poses)
-    near = _near(sight, cloud) if np.isfinite(gate) else np.arange(len(book.ids))
-    rows = np.ascontiguousarray(book.rows[:, near])
-    predicted = model.predict(cloud.poses, book.m[rows])
+    table, model, count = kind.table, kind.table.model, len(cloud.poses)
+    near = _near(kind, cloud) if np.isfinite(gate) else np.arange(len(table.ids))
+    rows = np.ascontiguousarray(table.rows[:, near])
+    predicted = model.predict(cloud.poses, table.m[rows])
     angles = np.zeros(model.dim_z, np.bool_)
     angles[list(model.z_angles)] = True
     pairs, *scored = gated_pairs(
         (predicted.z, predicted.z_D_pose, predicted.z_D_m),
-        (rows, book.P, cloud.roots),
-        (sight.z, sight.R),
-        _possible(sight, cloud, near),
+        (rows, table.P, cloud.roots),
+        (kind.z, kind.R),
+        _possible(kind, cloud, near),
         angles,
         gate,
     )
     (p, a, k), (innovation, S, distance2, log_det) = pairs.T, scored
 
     def apart(from_robot: bool) -> tuple[Array, Array]:
-        z, poses = sight.z[a][:, None], cloud.poses[p]
+        z, poses = kind.z[a][:, None], cloud.poses[p]
         if from_robot:
             known = model.invert(_BASE, predicted.z[p, k])
             return model.distance(known, model.invert(_BASE, z[:, 0]))
-        return model.distance(book.m[rows[p, k]], model.invert(poses, z)[:, 0])
+        return model.distance(table.m[rows[p, k]], model.invert(poses, z)[:, 0])
 
     slots = near[k]
-    every = np.arange(count)[:, None] * observed + sight.indices
+    every = np.arange(count)[:, None] * observed + kind.indices
     return Hypotheses(
-        book.kind,
+        table.kind,
         every.ravel(),
-        p * observed + sight.indices[a],
+        p * observed + kind.indices[a],
         p * stride + slots,
-        book.labels[slots],
+        table.labels[slots],
         innovation,
         S,
         distance2,
@@ -190,33 +198,33 @@ def _hypotheses(sight: Sight, cloud: Cloud, observed: int, stride: int, gate: fl
     )
 
 
-def _near(sight: Sight, cloud: Cloud) -> Ints:
+def _near(kind: KindObservations, cloud: Cloud) -> Ints:
     """Return the landmarks (k,) that any particle may have observed."""
-    book, pose = sight.book, cloud.poses[cloud.best]
-    rows = book.rows[cloud.best]
-    ends = book.model.outline(book.m[rows], book.extents) - pose[:2]
+    table, pose = kind.table, cloud.poses[cloud.best]
+    rows = table.rows[cloud.best]
+    ends = table.model.outline(table.m[rows], table.extents) - pose[:2]
     along = ends[:, 1] - ends[:, 0]
     length2 = np.maximum((along**2).sum(1), 1e-12)
     share = np.clip(-(ends[:, 0] * along).sum(1) / length2, 0.0, 1.0)
     distance = np.hypot(*(ends[:, 0] + share[:, None] * along).T)
-    seen = float(np.hypot(sight.ends[..., 0], sight.ends[..., 1]).max())
+    seen = float(np.hypot(kind.ends[..., 0], kind.ends[..., 1]).max())
     distance_sigma, turn_sigma = cloud.spread()
-    sigma = distance_sigma + turn_sigma * seen + np.sqrt(np.trace(book.P[rows], axis1=1, axis2=2))
+    sigma = distance_sigma + turn_sigma * seen + np.sqrt(np.trace(table.P[rows], axis1=1, axis2=2))
     return np.flatnonzero((distance < seen + MAX_GAP + MAX_SIGMAS * sigma) | (rows < 0))
 
 
-def _possible(sight: Sight, cloud: Cloud, near: Ints) -> Mask:
+def _possible(kind: KindObservations, cloud: Cloud, near: Ints) -> Mask:
     """Return which pairs (a, k) the extents allow, within 2 sigma, for the likeliest particle."""
-    book, model, observed = sight.book, sight.book.model, len(sight.z)
+    table, model, observed = kind.table, kind.table.model, len(kind.z)
     out = np.ones((observed, len(near)), np.bool_)
-    rows = book.rows[cloud.best, near]
+    rows = table.rows[cloud.best, near]
     known = np.flatnonzero(rows >= 0)
     if not model.has_extent or not len(known):
         return out
     pose, root = cloud.poses[cloud.best], cloud.roots[cloud.best]
     a, k = (index.ravel() for index in np.meshgrid(np.arange(observed), known, indexing="ij"))
-    m, P = book.m[rows[k]], book.P[rows[k]]
-    overlap = model.overlap(pose, m, book.extents[near[k]], model.extents(pose, m, sight.ends[a]))
+    m, P = table.m[rows[k]], table.P[rows[k]]
+    overlap = model.overlap(pose, m, table.extents[near[k]], model.extents(pose, m, kind.ends[a]))
     variance = ((overlap.gap_D_pose @ root) ** 2).sum(1)
     variance += np.einsum("pi,pij,pj->p", overlap.gap_D_m, P, overlap.gap_D_m)
     out[a, k] = overlap.gap <= overlap.allowed + 2.0 * np.sqrt(np.maximum(variance, 0.0))

@@ -17,7 +17,7 @@ _POOL = 64  # tiles; the pool grows by doubling
 _SPARE = 4  # rows and columns of tiles that a table grows by
 
 
-class SurfaceBook:
+class SharedMaps:
     """M maps of P particles.
 
     Attributes

@@ -18,7 +18,7 @@ from impslam.types import Array, Ints, Landmark, Mask
 _POOL = 256  # rows; the pool grows by doubling
 
 
-class Book:
+class LandmarkTable:
     """L landmarks of one kind in P particles.
 
     Attributes

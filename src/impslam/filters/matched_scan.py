@@ -16,7 +16,7 @@ from impslam.types import Array, Ints
 _POSE = np.arange(POSE)
 
 
-class Sight(NamedTuple):
+class MatchedKind(NamedTuple):
     """k matched landmarks of one kind: `places` (k,) in their table, and the prior's estimates.
 
     `pose` (3,) and `states` (k, dim) are the estimates before the correction.
@@ -29,11 +29,11 @@ class Sight(NamedTuple):
 
 
 class MatchedScan:
-    """All matches of a scan; rows of H and entries of the state are in the order of the sights.
+    """All matches of a scan; rows of H and entries of the state are in the order of the kinds.
 
     Attributes
     ----------
-    sights, seen : one for each kind, and z (k, dim_z) and R (k, dim_z, dim_z) of the same
+    kinds, seen : one for each kind, and z (k, dim_z) and R (k, dim_z, dim_z) of the same
     entries : (q,) indices into the state: the pose, each matched landmark, the common errors
     rows : number of observed scalars
     moving : number of entries that a correction changes: all but the common errors
@@ -52,7 +52,7 @@ class MatchedScan:
         `known` are the indices in the state of the sensors' common errors.
         """
         self.pose = mean[:POSE].copy()
-        self.sights: list[Sight] = []
+        self.kinds: list[MatchedKind] = []
         self.seen: list[tuple[Array, Array]] = []
         self._which: list[list[int]] = []
         self._error_jacobians: list[Array] = []
@@ -64,7 +64,7 @@ class MatchedScan:
                 self._error_jacobians.append(_remove_common_errors(R, seen, rows, known))
             if factors is not None:
                 R *= factors[which, None, None]
-            self.sights.append(Sight(table, places, self.pose, mean[columns]))
+            self.kinds.append(MatchedKind(table, places, self.pose, mean[columns]))
             self.seen.append((z, R))
             self._which.append(which)
             entries.append(columns.reshape(-1))
@@ -89,18 +89,18 @@ class MatchedScan:
 
     @property
     def states(self) -> list[Array]:
-        """The landmarks' states (k, dim) of each sight before the correction."""
-        return [sight.states for sight in self.sights]
+        """The landmarks' states (k, dim) of each kind before the correction."""
+        return [kind.states for kind in self.kinds]
 
     def moved(self, step: Array) -> tuple[Array, list[Array]]:
         """Return pose and landmarks after a step (q,) in their perturbations."""
         pose = self.pose + step[:POSE]
         pose[2] = wrap(float(pose[2]))
         states, begin = [], POSE
-        for sight in self.sights:
-            delta = step[begin : begin + sight.states.size].reshape(sight.states.shape)
-            states.append(sight.table.model.retract(sight.states, delta))
-            begin += sight.states.size
+        for kind in self.kinds:
+            delta = step[begin : begin + kind.states.size].reshape(kind.states.shape)
+            states.append(kind.table.model.retract(kind.states, delta))
+            begin += kind.states.size
         return pose, states
 
 

@@ -86,7 +86,10 @@ class Mahalanobis(GatedAssociation):
         return chosen, unclaimed_pairs(group, likely & self._near(group), chosen)
 
     def is_same_landmark(self, innovation: Array, S: Array) -> bool:
-        """Return whether a difference in the gate is `odds` times as likely as two separate landmarks."""
+        """Return whether a difference in the gate is `odds` times as likely as two separate landmarks.
+
+        `innovation` (d,) is the difference, S (d, d) its covariance.
+        """
         distance2 = float(innovation @ np.linalg.solve(S, innovation))
         if distance2 > quantile(self.gate, len(innovation)):
             return False

@@ -79,7 +79,11 @@ def _solve(group: Array) -> None:
 
 @kernel
 def include(group: Array, value: Array, cov: Array, low: float, high: float) -> None:
-    """Add a sighting, in the group's frame, to a group."""
+    """Add a sighting to a group.
+
+    `value` (2,) is in the group's frame, `cov` (3,) are xx, xy, yy of its covariance; `low` and `high` are
+    the ends of what is seen along the frame, m.
+    """
     det = cov[0] * cov[2] - cov[1] ** 2
     a, b, c = cov[2] / det, -cov[1] / det, cov[0] / det
     group[_L00] += a

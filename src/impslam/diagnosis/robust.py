@@ -103,7 +103,7 @@ def jackknife(J: Array, scores: Array, slopes: Array, block: int = 1) -> Array:
 
 
 def robust_sigma(residuals: Array) -> float:
-    """Return the standard deviation of normal residuals by their median; up to half may be outliers."""
+    """Return the standard deviation of normal residuals (m,) by their median; half may be outliers."""
     return 1.4826 * float(np.median(np.abs(residuals))) + 1e-9
 
 

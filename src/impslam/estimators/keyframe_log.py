@@ -72,7 +72,10 @@ class KeyframeLog:
     def append(
         self, d_pose: Array, covariance: Array, features: View | None, start: Array | None = None
     ) -> None:
-        """Add a keyframe by its motion and view; the caller adds to `sightings` and `points`."""
+        """Add a keyframe by its motion (3,) and (3, 3) and its view.
+
+        The caller adds to `sightings` and `points`.
+        """
         distance, session = 0.0, -1
         if len(self):
             distance, session = self._distance.array[-1], self._sessions.array[-1]

@@ -105,6 +105,7 @@ class PoseGraph:
     ) -> bool:
         """Add a closure, as certain as the drift over `length` m; return whether the graph must be solved.
 
+        `T_i_j` (3,) is the pose of node j in node i, with its `information` (3, 3).
         The first closure between two sessions moves the later one accordingly.
         """
         joins = self._join(i, j, T_i_j)

@@ -114,7 +114,7 @@ def true_wall(name: str, ends: Array, kind: str = "wall") -> TrueLandmark:
 
 
 def transform_landmarks(T_a_b: Array, truth: Iterable[TrueLandmark]) -> list[TrueLandmark]:
-    """Transform true landmarks from frame b to frame a."""
+    """Transform true landmarks from frame b to frame a; T_a_b (3,) is m, m, rad."""
     return [_moved(T_a_b, true) for true in truth]
 
 

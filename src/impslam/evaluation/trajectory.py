@@ -42,7 +42,7 @@ class PosePairs:
     truth: Array
 
     def moved(self, T_truth_estimate: Array) -> PosePairs:
-        """Return the pairs with the estimate transformed into another frame."""
+        """Return the pairs with the estimate moved to the frame of the truth, by the transform (3,)."""
         return PosePairs(self.stamps, move(T_truth_estimate, self.estimate), self.truth)
 
     def aligned(self) -> PosePairs:
@@ -91,6 +91,7 @@ def associate(estimate: Array, truth: Array, slack: float = 0.1, gap: float = 1.
 
     Parameters
     ----------
+    estimate, truth : (n, 4) and (m, 4) stamp, x, y, heading: s, m, m, rad
     slack : s, maximum time of a stamp before the first or after the last true pose
     gap : s, maximum time between true poses for an interpolation
 

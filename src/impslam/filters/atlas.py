@@ -52,7 +52,10 @@ class Table:
     def fill(
         self, ids: Ints, offsets: Ints, labels: Ints, extents: Array, counts: Ints, stamps: Array
     ) -> None:
-        """Replace all landmarks by these, ids ascending; averages of others are kept."""
+        """Replace all landmarks by these L ones, ids ascending; averages of others are kept.
+
+        All arguments have L rows; `extents` (L, 2) are in m, `stamps` (L, 2) in s, the first and the last.
+        """
         self.places = {number: place for place, number in enumerate(ids.tolist())}
         self.ids, self.labels, self.extents = ids, labels, extents
         self.counts, self.stamps = counts, stamps
@@ -161,7 +164,7 @@ class Atlas:
     def add(
         self, pose: Array, observation: Observation, offset: int, m: Array, stamp: float
     ) -> int:
-        """Add a new landmark; return its id."""
+        """Add a landmark m (dim,), observed from a pose (3,), at an offset in the state; return its id."""
         table = self.table(observation.kind)
         number, self._next_id = self._next_id, self._next_id + 1
         self._paired = (), []

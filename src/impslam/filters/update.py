@@ -80,7 +80,7 @@ def innovation_covariance(H: Array, P: Array, R: Array) -> Array:
 
 @kernel
 def factorise(S: Array) -> bool:
-    """Replace S by the factor U of S = U^T U, in its upper triangle; return whether it has one."""
+    """Replace S (n, n) by the factor U of S = U^T U, in its upper triangle; return whether it has one."""
     n = len(S)
     for j in range(n):
         if not S[j, j] > 0.0 or not S[j, j] < np.inf:

@@ -17,7 +17,7 @@ Array = npt.NDArray[np.float64]
 
 @kernel
 def taubin(points: Array) -> tuple[float, float, float]:
-    """Return x, y, radius of the algebraic circle fit; NaN for points on a line."""
+    """Return x, y, radius of the algebraic fit to points (n, 2), m; NaN for points on a line."""
     n = len(points)
     mx, my = points[:, 0].mean(), points[:, 1].mean()
     xx = yy = xy = xz = yz = zz = 0.0
@@ -54,7 +54,10 @@ def taubin(points: Array) -> tuple[float, float, float]:
 
 @kernel
 def circle_start(points: Array, beams: Array, radius: float) -> Array:
-    """Return a circle [x, y, radius] to start from; `radius` is NaN if unknown."""
+    """Return a circle [x, y, radius] to start from, m; `radius` is NaN if unknown.
+
+    `points` (n, 2) are in m, `beams` (n, 2) unit vectors from the lidar to them.
+    """
     circle = np.empty(3)
     if not math.isnan(radius):
         # The mean of a whole visible arc is pi / 4 of the radius in front of the centre.

@@ -46,7 +46,7 @@ class BlockSystem(NamedTuple):
 
 @kernel
 def empty_system(i: Ints, j: Ints, fixed: Mask) -> BlockSystem:
-    """Allocate the normal equations of poses and of pairs of them."""
+    """Allocate the normal equations of poses, `fixed` (k,) or not, and of pairs i, j (m,) of them."""
     k, m = len(fixed), len(i)
     return BlockSystem(np.empty((k, 3, 3)), np.empty((m, 3, 3)), i, j, np.empty((k, 3)), fixed)
 

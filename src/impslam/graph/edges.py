@@ -39,7 +39,7 @@ def edge_error(T_map_i: Array, T_map_j: Array, T_i_j: Array, out: Array) -> None
 def linearise(
     poses: Array, edges: Edges, graduation: float, system: BlockSystem, costs: Costs
 ) -> float:
-    """Fill the normal equations and the costs of the edges; return the robust cost.
+    """Fill the normal equations and the costs of the edges between poses (n, 3); return the robust cost.
 
     Kernels are widened to `graduation` c^2; if it is infinite, all weights are 1.
     """

@@ -49,4 +49,7 @@ class Lifecycle(Component):
     def review(
         self, scan: Scan, pose: Array, ids: Ints, outlines: Array, matches: Sequence[Match]
     ) -> list[int]:
-        """Return the ids of landmarks to remove: visible from the pose, but not observed."""
+        """Return the ids of landmarks to remove: visible from the pose (3,), but not observed.
+
+        `ids` (k,) are those of the map, `outlines` (k, 2, 2) their ends in map, m.
+        """

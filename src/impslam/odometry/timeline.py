@@ -61,7 +61,7 @@ def _add_turned(P: Array, Q: Array, c: float, s: float, share: float) -> None:
 
 @kernel
 def compose(total: Array, other: Array) -> None:
-    """Compose a motion with a later one, in place."""
+    """Compose a motion with a later one, in place; both are rows (`WIDTH`,) of the ring."""
     c, s = math.cos(total[THETA]), math.sin(total[THETA])
     dx, dy = c * other[2] - s * other[3], s * other[2] + c * other[3]
     _carry_covariance(total[COVARIANCE:], dx, dy)
@@ -170,7 +170,7 @@ def _fold(pending: Array, ring: Ints) -> None:
 def append(
     pending: Array, ring: Ints, marks: Array, stamp: float, d_pose: Array, P: Array, duration: float
 ) -> None:
-    """Add the motion of a row of odometry."""
+    """Add the motion of a row of odometry: d_pose (3,) with covariance P (3, 3), in `duration` s."""
     used_duration = min(duration, max(stamp - marks[NEWEST], 0.0))
     marks[LAST] = stamp
     marks[NEWEST] = max(marks[NEWEST], stamp)
@@ -192,7 +192,10 @@ def append(
 def mean_twist(
     pending: Array, ring: Ints, marks: Array, stamp: float, duration: float, out: Array
 ) -> None:
-    """Write the mean body twist after a stamp, from the pending motions or else the latest one."""
+    """Write the mean body twist over `duration` s after a stamp, (3,) in m/s, m/s, rad/s.
+
+    It is from the pending motions, or else from the latest one that took time.
+    """
     ahead = np.zeros(WIDTH)
     for k in range(ring[1]):
         row = pending[(ring[0] + k) % len(pending)]

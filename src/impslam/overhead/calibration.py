@@ -143,7 +143,7 @@ class _Problem:
         return math.sqrt(sum(float(np.sum(r**2)) for r in residuals) / max(free, 1))
 
     def residuals(self, x: Array, corner: float) -> Array:
-        """Return all residuals, in standard deviations."""
+        """Return all residuals (r,), in standard deviations; `corner` is that of a corner, px."""
         ground = project(x[:15], self._ground.points) - self._ground.pixels
         parts = [(ground / self._ground_sigma(x)).ravel()]
         for vector, view in zip(self._vectors(x), self._boards, strict=True):
@@ -153,7 +153,7 @@ class _Problem:
         return np.concatenate([*parts, prior, [square]])
 
     def jacobian(self, x: Array, corner: float) -> Array:
-        """Return the derivatives of `residuals` by x."""
+        """Return the derivatives (r, n) of `residuals` by x (n,)."""
         rows = []
         block = np.zeros((2 * len(self._ground.points), len(x)))
         block[:, :15] = linearised(x[:15], self._ground.points)[1]

@@ -128,7 +128,10 @@ def verify(known: SurfaceMap, reference: Submap, query: Submap, pose: Array) -> 
 
 
 def share_in_free_space(known: SurfaceMap, reference: Submap, query: Submap, pose: Array) -> float:
-    """Return the share of the points of either submap in the free space of the other, the larger one."""
+    """Return the larger of the two shares of points that are in the free space of the other submap.
+
+    `pose` (3,) is that of the query in the reference.
+    """
     n = _evidence(known, reference, query, pose)
     return max(n.contradicted / max(len(query.features), 1), n.refuted / max(n.sample, 1))
 
@@ -136,7 +139,9 @@ def share_in_free_space(known: SurfaceMap, reference: Submap, query: Submap, pos
 def excess_in_free_space(known: SurfaceMap, reference: Submap, query: Submap, pose: Array) -> float:
     """Return by how much either submap contradicts the other more than itself, as a share of its points.
 
-    _Scans of either miss things such as chair legs. Some of these are missed by the other's scans only, but
+    `pose` (3,) is that of the query in the reference.
+
+    Scans of either miss things such as chair legs. Some of these are missed by the other's scans only, but
     no more than by those of its own submap, which has as many.
     """
     n = _evidence(known, reference, query, pose)
@@ -250,7 +255,10 @@ def _match(known: SurfaceMap, features: Features, pose: Array, moved: Array, mat
 
 @kernel
 def evidence_at(x: float, y: float, vantages: Array, free: Floats) -> int:
-    """Return -1 for a point well inside the free space of any scan, 1 near ends of beams, 0 if unseen."""
+    """Return -1 for a point well inside the free space of any scan, 1 near ends of beams, 0 if unseen.
+
+    `vantages` (n, 3) are the poses of the scans, m, m, rad.
+    """
     evidence = 0
     for k in range(len(vantages)):
         dx, dy = x - vantages[k, 0], y - vantages[k, 1]

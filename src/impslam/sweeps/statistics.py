@@ -59,7 +59,7 @@ def mean(values: Array | Ints) -> Estimate:
 
 
 def rms(values: Array) -> Estimate:
-    """Return the root mean square, with its first-order standard error; NaN without values."""
+    """Return the root mean square of values (n,), with its first-order standard error; NaN for n = 0."""
     if not len(values):
         return NONE
     squares = np.square(values)

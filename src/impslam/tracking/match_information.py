@@ -48,7 +48,11 @@ def add_along(M: Array, axis: float, amount: float) -> None:
 
 @kernel
 def add_drift(motion: Array, drift: Array, covariance: Array) -> None:
-    """Add the drift of matched motion, the mean square of errors with heavy tails, as on ramps."""
+    """Add the drift of a matched motion (3,) to its covariance (3, 3), in place.
+
+    `drift` (4,) are standard deviations: m/sqrt(m) along and across the path, rad/sqrt(m), rad/sqrt(rad).
+    It is the mean square of errors with heavy tails, as on ramps.
+    """
     distance, turn = math.hypot(motion[0], motion[1]), abs(motion[2])
     covariance[0, 0] += drift[0] ** 2 * distance
     covariance[1, 1] += drift[1] ** 2 * distance

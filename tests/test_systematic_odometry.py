@@ -70,7 +70,7 @@ def test_keyframes_carry_them_if_the_filter_can_consider_them_and_odometry_is_al
         assert all(part is None for part in played(recording(), *settings)[1]), settings
 
 
-def test_from_the_first_reading_of_a_gyro_on_they_are_random_whatever_the_batches():
+def test_from_the_first_reading_of_a_gyro_on_they_include_its_own_whatever_the_batches():
     messages = recording(with_gyro=True)
     began = messages[0].stamp + 5.0
     late = [m for m in messages if not isinstance(m, Imu) or m.stamp > began]
@@ -79,9 +79,11 @@ def test_from_the_first_reading_of_a_gyro_on_they_are_random_whatever_the_batche
     for batch in batches(((type(m).__name__, m) for m in late), 1):
         single.feed(batch)
     single.flush()
-    assert [p is None for p in parts] == [p is None for p in seen.parts]
-    assert parts[0] is not None
-    assert parts[-1] is None
+    for part, same in zip(parts, seen.parts, strict=True):
+        np.testing.assert_array_equal(part.errors, same.errors)
+        np.testing.assert_array_equal(part.correlation, same.correlation)
+    assert parts[0].errors.shape[1] == 2
+    assert parts[-1].learned.tolist() == [False, False, False, True]
     np.testing.assert_array_equal(rows.covariances, single.map().rows().covariances)
 
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from impslam.parameters import Parameters, parameter
-from impslam.types import Array
+from impslam.types import Array, Mask
 
 UNKNOWN = 1e6
 """m^2: variance of an unknown motion, as for a robot without odometry."""
@@ -17,35 +17,74 @@ MAX_GAP = 3.0
 """s between two readings or two sweeps; after a longer gap the robot's path is unknown."""
 
 
+BIAS_CORRELATION_TIME = 20.0
+"""s; where the error of a gyro's bias is taken as random, the variance of the turn grows per second as if
+it were drawn anew after each such time. It lasts longer, but scans correct the heading sooner."""
+
+
 class SystematicErrors(NamedTuple):
-    """Standard deviations of constant errors of odometry's turns (Borenstein & Feng 1996).
+    """Standard deviations of constant errors of odometry's turns.
 
     Attributes
     ----------
-    turn_per_distance : rad/m, wheels of unequal radius
+    turn_per_distance : rad/m, wheels of unequal radius (Borenstein & Feng 1996)
     turn : relative, a wrong track
+    gyro_scale : relative, the scale of the gyro
+    gyro_bias : rad/s, the bias of the gyro, which changes slowly; 0 without a gyro
+    gyro_share : share of the gyro in the turns; that of the wheels is the rest
     """
 
     turn_per_distance: float
     turn: float
+    gyro_scale: float = 0.0
+    gyro_bias: float = 0.0
+    gyro_share: float = 0.0
 
-    def errors(self, d_pose: Array) -> Array:
-        """Return the errors (..., 3, 2) of motions (..., 3), one column per standard deviation of each.
+    def errors(self, d_pose: Array, duration: Array | float = 0.0) -> Array:
+        """Return the errors (..., 3, k) of motions (..., 3) of `duration` (...) s.
 
-        For arcs, to first order in the turn: an error of the turn acts, on average, halfway.
+        There is a column per standard deviation of each error: two of the wheels, two of a gyro if there is
+        one. For arcs, to first order in the turn: an error of the turn acts, on average, halfway.
         """
         x, y, turn = np.moveaxis(d_pose, -1, 0)
+        wheels, gyro = 1.0 - self.gyro_share, self.gyro_share
         by_motion = np.stack([-0.5 * y, 0.5 * x, np.ones_like(x)], -1)
-        of_turn = np.stack([self.turn_per_distance * x, self.turn * turn], -1)
-        return np.asarray(by_motion[..., :, None] * of_turn[..., None, :])
+        of_turn = [wheels * self.turn_per_distance * x, wheels * self.turn * turn]
+        if self.gyro_bias:
+            of_turn += [gyro * self.gyro_scale * turn, gyro * self.gyro_bias * duration + 0.0 * x]
+        return np.asarray(by_motion[..., :, None] * np.stack(of_turn, -1)[..., None, :])
 
-    def turn_variances(self, d_pose: Array) -> Array:
+    @property
+    def learned(self) -> Mask:
+        """Which errors (k,) motions between landmarks determine: the bias, which does not depend on them.
+
+        Others act only in turns and curves, in which wheels slip, too.
+        """
+        return np.array([False, False, False, True] if self.gyro_bias else [False, False])
+
+    def turn_variances(self, d_pose: Array, duration: Array | float = 0.0) -> Array:
         """Return the variances (...) of turns in motions (..., 3), if the errors were drawn anew.
 
-        They are the same as those of the constant errors at 1 m or 1 rad.
+        They are the same as those of the constant errors at 1 m or 1 rad, and `BIAS_CORRELATION_TIME`.
         """
         distance, turn = np.hypot(d_pose[..., 0], d_pose[..., 1]), np.abs(d_pose[..., 2])
-        return np.asarray(self.turn_per_distance**2 * distance + self.turn**2 * turn)
+        wheels = self.turn_per_distance**2 * distance + self.turn**2 * turn
+        lasting = np.maximum(BIAS_CORRELATION_TIME, duration)
+        gyro = self.gyro_scale**2 * turn + self.gyro_bias**2 * duration * lasting
+        return np.asarray((1.0 - self.gyro_share) ** 2 * wheels + self.gyro_share**2 * gyro)
+
+    def correlation(self, before: SystematicErrors) -> Array:
+        """Return the correlation (k,) of each error with the same one before.
+
+        The error of the bias changes in two ways. As a random walk, it gets an independent part, so that
+        the correlation is the ratio of the standard deviations before and after. If the bias is measured,
+        its error becomes (1 - K) e + K v with the variance (1 - K) E[e^2], and the correlation is the
+        inverse of that ratio.
+        """
+        if not self.gyro_bias:
+            return np.ones(2)
+        low, high = sorted((self.gyro_bias, before.gyro_bias))
+        return np.array([1.0, 1.0, 1.0, low / high])
 
 
 class MotionNoise(Parameters):

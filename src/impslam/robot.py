@@ -24,6 +24,7 @@ from impslam.odometry.gyro import GyroFusion
 from impslam.odometry.stream import OdometryStream, unknown_motions
 from impslam.odometry.stream_clocks import StreamClocks
 from impslam.odometry.synchroniser import END, Synchroniser
+from impslam.odometry.turn_errors import TurnErrors
 from impslam.pending import PendingQueue, PendingRows
 from impslam.sensors.base import Sensor
 from impslam.sources.base import Problems
@@ -54,7 +55,7 @@ class Robot:
     ) -> None:
         """`without_systematic` leaves these errors out of the covariances of motions; see `systematic`."""
         self.name, self.odometry, self.sensors = name, odometry, sensors
-        rest, self._systematic = odometry.split() if without_systematic else (odometry, None)
+        rest, wheels = odometry.split() if without_systematic else (odometry, None)
         self.counts: dict[str, int] = {}
         self.problems = Problems()
         fuses = odometry.gyro.use and odometry.measures_motion
@@ -63,8 +64,11 @@ class Robot:
             {n: Reader(f"sensors.{n}", s.consumes, s.stream) for n, s in sensors.items()},
             Reader("odometry.gyro", Imu, odometry.gyro.stream) if fuses else None,
         )
-        self._gyro_since = END  # position in the log
-        self._gyro = GyroFusion(odometry.gyro, odometry.lever, odometry.standstill_band.angle)
+        considered = (wheels or SystematicErrors(0.0, 0.0)) if without_systematic else None
+        self._gyro = GyroFusion(
+            odometry.gyro, odometry.lever, odometry.standstill_band.angle, considered
+        )
+        self._turn_errors = TurnErrors(wheels, odometry.gyro.scale) if without_systematic else None
         self._odometry_stream, self._synchroniser = OdometryStream(rest), Synchroniser()
         self._queue, self._clocks = PendingQueue(), StreamClocks()
         self._holding = Holding({n: getattr(s, "latency", 0.0) for n, s in sensors.items()})
@@ -141,12 +145,10 @@ class Robot:
         return self.streams.gyro is not None and self._gyro.trusted
 
     def systematic(self, sweeps: Sweeps) -> Sequence[SystematicErrors | None]:
-        """Return, for each sweep, the errors of odometry that the covariances do not contain.
-
-        None from the first reading of a gyro on: it corrects the turns, and needs their whole variances.
-        """
-        before = sweeps.columns.order < self._gyro_since
-        return [self._systematic if wheels_alone else None for wheels_alone in before.tolist()]
+        """Return, for each sweep, the errors of odometry that the covariances do not contain."""
+        if self._turn_errors is None:
+            return [None] * len(sweeps)
+        return self._turn_errors.at(sweeps.columns.order)
 
     @property
     def elapsed(self) -> float:
@@ -176,14 +178,9 @@ class Robot:
     ) -> Motions:
         """Return the motions with turns corrected by the gyro; record wheel slip."""
         stamps = np.empty(0) if turns is None else placed[turns.stream].times
-        if turns is not None and len(turns):
-            self._gyro_since = min(self._gyro_since, int(turns.order[0]))
-        if self._systematic is not None:
-            covariance, since = motions.covariance.copy(), order > self._gyro_since
-            variances = self._systematic.turn_variances(motions.d_pose[since])
-            covariance[since, 2, 2] += variances
-            motions = motions._replace(covariance=covariance)
-        motions, apart = self._gyro.correct(order, motions, turns, stamps)
+        motions, apart, shares = self._gyro.correct(order, motions, turns, stamps)
+        if self._turn_errors is not None:
+            self._turn_errors.add(order, shares)
         for found in apart:
             text = (
                 f"within 1 s before {found.stamp - self._shift:.3f} s the wheels turn by "

@@ -263,10 +263,14 @@ class SystematicPart(NamedTuple):
     errors : (3, k) error of `d_pose`, one column per standard deviation of each of k constant errors
     replaced : (3, 3) the part of the motion's covariance that stands for them in filters that take all
         errors as random
+    correlation : (k,) of each error with the same one of the previous increment
+    learned : (k,) whether it is estimated; the others are only considered
     """
 
     errors: Array
     replaced: Array
+    correlation: Array
+    learned: Mask
 
 
 ACCELERATION = (0.5, 1.0)
@@ -280,7 +284,7 @@ class Increment:
 
     `d_pose` (3,) is `T_before_after`; `covariance` (3, 3) is that of its additive error;
     `duration` >= 0 is in seconds and `stamp` is the time at its end. `systematic` describes the part of
-    the error that is the same over the whole drive, for filters that consider it.
+    the error that stays the same or changes slowly, for filters that consider it.
     """
 
     stamp: float

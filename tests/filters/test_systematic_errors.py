@@ -1,4 +1,4 @@
-"""Constant errors of odometry are considered, and never learned (Schmidt 1966)."""
+"""Constant errors of odometry are considered (Schmidt 1966), and that of a gyro's bias is learned."""
 
 from dataclasses import replace
 
@@ -16,19 +16,28 @@ from impslam.types import Increment, SystematicPart
 FILTERS = components("filter")
 FAMILY = sorted(name for name, cls in FILTERS.items() if cls.considers_shared_errors)
 SIGMA = SystematicErrors(turn_per_distance=0.01, turn=0.03)
+GYRO = SystematicErrors(0.02, 0.06, gyro_scale=0.02, gyro_bias=0.01, gyro_share=0.5)
 
 
-def wrong(d_pose, e):
-    """Return a motion along an arc as it is if odometry has errors e (2,) in standard deviations."""
+def wrong(d_pose, e, sigma=SIGMA, seconds=1.0):
+    """Return a motion along an arc as it is if odometry has errors e (k,) in standard deviations."""
     x, y, turn = log(d_pose)
-    return exp(np.array([x, y, turn + np.dot(e * np.array(SIGMA), [x, turn])]))
+    wheels, gyro = 1.0 - sigma.gyro_share, sigma.gyro_share
+    sizes = [wheels * sigma.turn_per_distance * x, wheels * sigma.turn * turn]
+    sizes += [gyro * sigma.gyro_scale * turn, gyro * sigma.gyro_bias * seconds]
+    return exp(np.array([x, y, turn + np.dot(e, sizes[: len(e)])]))
 
 
-def told(increment, random=None):
+def told(increment, random=None, sigma=SIGMA, before=None):
     """Return an increment that has systematic errors, too; `random` is the covariance of the others."""
     random = increment.covariance if random is None else random
-    replaced = np.diag([0.0, 0.0, float(SIGMA.turn_variances(increment.d_pose))])
-    part = SystematicPart(SIGMA.errors(increment.d_pose), replaced)
+    seconds = increment.duration
+    replaced = np.diag([0.0, 0.0, float(sigma.turn_variances(increment.d_pose, seconds))])
+    errors, correlation = (
+        sigma.errors(increment.d_pose, seconds),
+        sigma.correlation(before or sigma),
+    )
+    part = SystematicPart(errors, replaced, correlation, sigma.learned)
     return replace(increment, covariance=random + replaced, systematic=part)
 
 
@@ -38,10 +47,13 @@ def started(kind, pose=(0.4, -0.3, 0.7)):
     return belief
 
 
-def test_errors_are_the_derivatives_of_a_motion():
+@pytest.mark.parametrize(("sigma", "count"), [(SIGMA, 2), (GYRO, 4)])
+def test_errors_are_the_derivatives_of_a_motion(sigma, count):
     motions = [[0.12, 0.0, 0.0], [0.0, 0.0, 0.1], [0.1, 0.003, 0.06], [-0.05, 0.001, -0.04]]
-    true = [jacobian(lambda e, d=d: wrong(d, e), np.zeros(2)) for d in np.array(motions)]
-    np.testing.assert_allclose(SIGMA.errors(np.array(motions)), true, atol=5e-6)
+    true = [
+        jacobian(lambda e, d=d: wrong(d, e, sigma, 0.3), np.zeros(count)) for d in np.array(motions)
+    ]
+    np.testing.assert_allclose(sigma.errors(np.array(motions), 0.3), true, atol=1e-5)
 
 
 @pytest.mark.parametrize("kind", FAMILY)
@@ -80,6 +92,60 @@ def test_undoing_a_prediction_restores_the_state_exactly(kind):
     P, mean = belief.belief.covariance, belief.belief.mean.copy()
     belief.predict(told(increment))
     assert np.abs(belief.belief.covariance - P).max() > 1e-6
+    belief.undo_predict()
+    np.testing.assert_array_equal(belief.belief.covariance, P)
+    np.testing.assert_array_equal(belief.belief.mean, mean)
+
+
+@pytest.mark.parametrize("kind", FAMILY)
+def test_the_bias_of_a_gyro_is_learned_and_corrects_the_motion(kind):
+    """Over 20 drives with errors of their own; the poses are then nearer to the truth."""
+    sigma = GYRO._replace(gyro_share=1.0, gyro_scale=0.005)
+    biases, sigmas, errors = [], [], {True: [], False: []}
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        belief, ignorant, true = started(kind, np.zeros(3)), started(kind, np.zeros(3)), np.zeros(3)
+        e = np.append([0.0, 0.0], rng.standard_normal(2))
+        for _, increment in drive(40):
+            moved = wrong(increment.d_pose, e, sigma)
+            true = compose(true, moved + rng.multivariate_normal(np.zeros(3), 0.01 * Q))
+            motion = told(replace(increment, duration=1.0), 0.01 * Q, sigma)
+            seen = observe(true, rng)
+            step(belief, motion, seen)
+            step(ignorant, replace(motion, systematic=None), seen)
+            for learns, one in ((True, belief), (False, ignorant)):
+                errors[learns].append(wrapped(one.pose - true, 2)[2])
+        at = belief.belief.errors["odometry 3"]
+        biases.append((belief.belief.mean[at] - e[3]) ** 2 / belief.belief.covariance[at, at])
+        sigmas.append(np.sqrt(belief.belief.covariance[at, at]))
+    assert max(sigmas) < 0.3
+    assert 0.4 < np.mean(biases) < 2.2  # chi-square over 20 runs, 99.9 %
+    assert np.std(errors[True]) < 0.9 * np.std(errors[False])
+
+
+@pytest.mark.parametrize("kind", FAMILY)
+@pytest.mark.parametrize(("first", "then"), [(0.01, 0.01), (0.01, 0.002), (0.001, 0.004)])
+def test_errors_of_a_bias_that_changes_add_up_as_far_as_they_are_correlated(kind, first, then):
+    """Half a minute each, before and after the bias was measured, or has drifted."""
+    belief, none = started(kind, np.zeros(3)), np.zeros((3, 3))
+    one, other = (GYRO._replace(gyro_share=1.0, gyro_bias=bias) for bias in (first, then))
+    still = Increment(0.0, np.zeros(3), none, 30.0)
+    belief.predict(told(still, none, one))
+    belief.predict(told(still, none, other, before=one))
+    common = min(first, then) ** 2  # the covariance of the two errors
+    expected = 30.0**2 * (first**2 + then**2 + 2.0 * common)
+    assert belief.belief.pose_covariance()[2, 2] == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize("kind", FAMILY)
+def test_undoing_a_prediction_restores_what_was_learned(kind):
+    rng, belief = np.random.default_rng(1), started(kind, np.zeros(3))
+    for pose, increment in drive(5, rng):
+        step(belief, told(replace(increment, duration=1.0), sigma=GYRO), observe(pose, rng))
+    P, mean = belief.belief.covariance, belief.belief.mean.copy()
+    assert mean[belief.belief.errors["odometry 3"]] != 0.0
+    later = GYRO._replace(gyro_bias=0.002)
+    belief.predict(told(replace(increment, duration=1.0), sigma=later, before=GYRO))
     belief.undo_predict()
     np.testing.assert_array_equal(belief.belief.covariance, P)
     np.testing.assert_array_equal(belief.belief.mean, mean)

@@ -157,6 +157,40 @@ def test_bias_and_heading_are_consistent():
     assert heading < high  # the error of the bias is taken to last for 20 s, these drives for 9
 
 
+def test_heading_is_consistent_if_systematic_errors_are_considered():
+    """NEES over 60 drives whose scale and bias are constant (chi-square, 99.9 %)."""
+    nees = []
+    for seed in range(60):
+        rng, speeds = np.random.default_rng(seed), drive(8.0, turn=0.8)
+        speeds[:, 1] = np.abs(speeds[:, 1])  # errors of the scale do not cancel
+        noise = rng.normal(0.0, 6e-4 * math.sqrt(RATE), len(speeds))
+        rates = (1.0 + rng.normal(0.0, 0.01)) * speeds[:, 1] + rng.normal(0.0, 0.02) + noise
+        robot = load("imp", ["odometry.trembling=0"]).make_robot(for_estimator=True)
+        d_pose, covariance, errors = zip(*motions_of(robot, log(speeds, rates=rates)), strict=True)
+        error = sum(d[2] for d in d_pose) - float(speeds[1:, 1].sum()) / RATE
+        common = np.sum(errors, axis=0)[2]
+        nees.append(error**2 / (sum(P[2, 2] for P in covariance) + common @ common))
+    low, high = stats.chi2.ppf([0.0005, 0.9995], 60) / 60
+    assert low < np.mean(nees) < high
+
+
+def motions_of(robot, messages):
+    """Yield motions, their covariances, and their systematic errors (3, 4)."""
+    found, synchronise = [], robot._synchroniser.feed
+
+    def record(order, motions, *rest):
+        errors = robot._turn_errors.at(order + 1)
+        found.extend(zip(errors, *motions, strict=True))
+        return synchronise(order, motions, *rest)
+
+    robot._synchroniser.feed = record
+    for batch in batches(messages):
+        list(robot.sense(batch))
+    for errors, _, d_pose, covariance, duration in found:
+        if not np.isnan(d_pose[0]):
+            yield d_pose, covariance, errors.errors(d_pose, duration)
+
+
 def start(seed, ticks, stand):
     """(stream, message) of a start with `ticks` per turn, turning at once, and the bias of the gyro."""
     rng = np.random.default_rng(seed)

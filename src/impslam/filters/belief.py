@@ -136,7 +136,7 @@ class Belief(Protocol):
     n: int
     mean: Array
     errors: dict[str, int]
-    """Indices in the state of the common errors of sensors, by sensor."""
+    """Indices in the state of the common errors of sensors and odometry, by name."""
 
     @property
     def covariance(self) -> Array:
@@ -159,7 +159,7 @@ class GaussianBelief:
     """Mean and covariance of [pose, landmark, landmark, ...], independent of kinds."""
 
     def __init__(self, pose: Array, covariance: Array) -> None:
-        self.n, self.errors = POSE, dict[str, int]()
+        self.n, self.errors, self._learned = POSE, dict[str, int](), set[str]()
         self.mean = np.zeros(_BLOCK + _PADDING)
         self.P = np.zeros((_BLOCK + _PADDING, _BLOCK + _PADDING), order="F")
         self.mean[:POSE] = pose
@@ -196,19 +196,32 @@ class GaussianBelief:
         """Compose the pose with a motion (3,) of covariance (3, 3), to first order."""
         _drive(self.mean, self.P, self.n, plain(d_pose), plain(covariance))
 
+    def renew(self, errors: Ints, correlation: Array) -> None:
+        """Replace common errors at indices (k,) by ones that have a correlation (k,) with them."""
+        for entry, kept in zip(errors.tolist(), correlation.tolist(), strict=True):
+            self.mean[entry] *= kept
+            self.P[entry, :entry] *= kept
+            self.P[entry + 1 : self.n, entry] *= kept
+            self.P[entry, entry] += (1.0 - kept**2) * (1.0 - self.P[entry, entry])
+
     def shift(self, errors: Ints, S: Array) -> None:
         """Add S e to the pose's error, S (3, k), for the common errors e at indices (k,)."""
-        C = S @ rows_of(self.P, errors, self.n)
+        of_errors = rows_of(self.P, errors, self.n)
+        C = S @ of_errors
         self.P[POSE : self.n, :POSE] += C[:, POSE:].T
-        self.P[:POSE, :POSE] += np.tril(C[:, :POSE] + C[:, :POSE].T + S @ S.T)
+        self.P[:POSE, :POSE] += np.tril(C[:, :POSE] + C[:, :POSE].T + C[:, errors] @ S.T)
 
-    def pose_entries(self) -> tuple[Array, Array]:
-        """Return copies of what `move` changes: the pose (3,) and P's first columns (n, 3)."""
-        return self.mean[:POSE].copy(), self.P[: self.n, :POSE].copy(order="F")
+    def moving_entries(self) -> tuple[Ints, Array, Array]:
+        """Return what a motion changes: indices (k,) of pose and errors, their mean, P's rows (k, n)."""
+        entries = np.array([*range(POSE), *self.errors.values()], np.int64)
+        return entries, self.mean[entries], rows_of(self.P, entries, self.n)
 
-    def restore(self, entries: tuple[Array, Array]) -> None:
-        """Restore the entries that `pose_entries` returned."""
-        self.mean[:POSE], self.P[: self.n, :POSE] = entries
+    def restore(self, before: tuple[Ints, Array, Array]) -> None:
+        """Restore the entries that `moving_entries` returned."""
+        entries, self.mean[entries], rows = before
+        for entry, row in zip(entries.tolist(), rows, strict=True):
+            self.P[entry, :entry] = row[:entry]
+            self.P[entry : self.n, entry] = row[entry:]
 
     def innovation_blocks(self, offsets: Ints, z_D_pose: Array, z_D_m: Array) -> Array:
         """Return H P H^T (k, dz, dz) of k landmarks, each independently."""
@@ -217,14 +230,15 @@ class GaussianBelief:
     def subtract(self, left: Array, right: Array | None = None) -> None:
         """Subtract a symmetric product left^T right from P, both (k, n); left^T left without `right`.
 
-        The variances of common errors do not change (Schmidt 1966).
+        The variances of common errors do not change (Schmidt 1966), except of those that are learned.
         """
         if right is None:
             subtract_square(self.P, self.n, left)
         else:
             subtract_product(self.P, self.n, left, right)
-        for row in self.errors.values():
-            for column in self.errors.values():
+        considered = [self.errors[name] for name in self.errors.keys() - self._learned]
+        for row in considered:
+            for column in considered:
                 if column <= row:
                     self.P[row, column] = float(column == row)
 
@@ -243,12 +257,22 @@ class GaussianBelief:
         self.n = o + dim
         return o
 
-    def error(self, sensor: str) -> int:
-        """Return the index of a sensor's common error; add it with unit variance if it is new."""
-        if sensor not in self.errors:
+    def error(self, name: str, *, learned: bool = False) -> int:
+        """Return the index of a common error; add it with unit variance if it is new.
+
+        One that is `learned` is estimated; the others are only considered.
+        """
+        if name not in self.errors:
             none = np.zeros((1, 0))
-            self.errors[sensor] = self.append(np.zeros(1), np.arange(0), none, np.eye(1))
-        return self.errors[sensor]
+            self.errors[name] = self.append(np.zeros(1), np.arange(0), none, np.eye(1))
+        if learned:
+            self._learned.add(name)
+        return self.errors[name]
+
+    def learn(self, step: Array) -> None:
+        """Move the means of the errors that are learned by a step (n,) of the whole state."""
+        for name in self._learned:
+            self.mean[self.errors[name]] += step[self.errors[name]]
 
     def keep(self, indices: Ints) -> None:
         """Keep only these entries of the state (sorted)."""

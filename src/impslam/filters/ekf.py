@@ -48,7 +48,7 @@ class Ekf(GaussianFilter):
         1e-3, "rad", "no further linearisation if the heading changes by less than this", gt=0
     )
     _belief: GaussianBelief = PrivateAttr()
-    _before: tuple[Array, Array] = PrivateAttr()
+    _before: tuple[Ints, Array, Array] = PrivateAttr()
     """The entries that the last prediction changed, before it."""
 
     def start(self, pose: Array, covariance: Array, models: Mapping[str, LandmarkModel]) -> None:
@@ -69,8 +69,8 @@ class Ekf(GaussianFilter):
     def predict(self, increment: Increment) -> None:
         """Predict the pose: x' = x (+) u, P' = F P F^T + V Q V^T (thesis Eq. 2.23-2.26)."""
         heading, errors = float(self._belief.mean[2]), self._systematic(increment)
-        self._before = self._belief.pose_entries()
-        self._belief.drive(increment.d_pose, self._noise(increment))
+        self._before = self._belief.moving_entries()
+        self._belief.drive(self._learned_motion(increment, errors), self._noise(increment))
         self._add_systematic(increment, heading, errors)
 
     def _noise(self, increment: Increment) -> Array:
@@ -81,8 +81,17 @@ class Ekf(GaussianFilter):
         """Return the indices (k,) of the systematic errors in the state; new ones are added."""
         if increment.systematic is None or not self.considers_shared_errors:
             return _NONE
-        count = increment.systematic.errors.shape[1]
-        return np.array([self._belief.error(f"odometry {k}") for k in range(count)])
+        each = enumerate(increment.systematic.learned.tolist())
+        return np.array(
+            [self._belief.error(f"odometry {k}", learned=learned) for k, learned in each]
+        )
+
+    def _learned_motion(self, increment: Increment, errors: Ints) -> Array:
+        """Return the motion (3,) corrected by the errors that are learned, after renewing these."""
+        if not len(errors) or increment.systematic is None:
+            return increment.d_pose
+        self._belief.renew(errors, increment.systematic.correlation)
+        return increment.d_pose + increment.systematic.errors @ self._belief.mean[errors]
 
     def _add_systematic(self, increment: Increment, heading: float, errors: Ints) -> None:
         """Add the systematic errors of a motion from a heading to the error of the pose."""
@@ -248,8 +257,9 @@ class Ekf(GaussianFilter):
             mean[table.columns] = states
 
     def _move_pose(self, step: Array) -> Array:
-        """Move the pose by a step (3, ...); return the mean."""
+        """Move the pose and what is learned of errors by a step (n,); return the mean."""
         mean = self._belief.mean
         mean[:POSE] += step[:POSE]
         mean[2] = wrap(float(mean[2]))
+        self._belief.learn(step)
         return mean

@@ -52,8 +52,8 @@ class FirstEstimatesEkf(Ekf):
         errors = self._systematic(increment)
         self._first = np.append(self._first, belief.mean[len(self._first) : belief.n])
         predicted = self._first[:POSE]
-        self._before, self._first_before = belief.pose_entries(), predicted.copy()
-        after = compose(before, increment.d_pose)
+        self._before, self._first_before = belief.moving_entries(), predicted.copy()
+        after = compose(before, self._learned_motion(increment, errors))
         V = np.eye(POSE)
         V[:2, :2] = rotation(before[2])
         noise = V @ self._noise(increment) @ V.T

@@ -20,6 +20,7 @@ import numpy as np
 from impslam.columns import Columns, Motions
 from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.kernels import kernel
+from impslam.noise import BIAS_CORRELATION_TIME, SystematicErrors
 from impslam.odometry.standstill import STANDSTILL_TIME
 from impslam.parameters import Parameters, parameter
 from impslam.types import Array, Ints
@@ -41,9 +42,6 @@ MAX_WINDOW_CHI2 = 9.0
 SMOOTHING_TIME = 0.25
 """s; the wheels' variance is averaged over this time. That of a single reading depends on whether an
 encoder's step falls into it, and a gain that did so, too, would lose part of the turn."""
-BIAS_CORRELATION_TIME = 20.0
-"""s; the error of the bias stays the same for at least this long; scans correct the heading sooner. The
-variance of the turn grows per second as if the error were drawn anew after each such time."""
 
 # State: heading (rad), stamp and rate of the newest reading, bias, its variance, heading at the end of the
 # last motion; sums over the window: duration, turns of wheels and gyro, variance; chi-squares of the three
@@ -77,7 +75,7 @@ class Gyro(Parameters):
         1e-5, "rad/s/sqrt(s)", "drift of the bias: 20 deg/h in 100 s, with temperature", ge=0
     )
     scale: float = parameter(
-        0.01, "rad/sqrt(rad)", "error of the scale, per root radian of turn", ge=0
+        0.01, "rad/sqrt(rad)", "error of the scale, the same at 1 rad of turn", ge=0
     )
 
 
@@ -92,16 +90,32 @@ class Disagreement(NamedTuple):
 class GyroFusion:
     """Corrects the turns of motions by the readings of a gyro, batch by batch."""
 
-    def __init__(self, gyro: Gyro, lever: float, band: float = 0.0) -> None:
-        """`lever` is the distance that the robot moves when a slipping wheel turns it by 1 rad, m.
+    def __init__(
+        self,
+        gyro: Gyro,
+        lever: float,
+        band: float = 0.0,
+        considered: SystematicErrors | None = None,
+    ) -> None:
+        """Start with the parameters of the gyro.
 
-        `band` is the angle within which odometry counts as stationary, rad; 0: unknown.
+        Parameters
+        ----------
+        lever : the distance that the robot moves when a slipping wheel turns it by 1 rad, m
+        band : the angle within which odometry counts as stationary, rad; 0: unknown
+        considered : errors of the wheels that the covariances of motions do not contain; those of the
+            gyro are then left out, too. None: all are contained as random errors
         """
         self._gyro, self._lever, self._band = gyro, lever, band or math.inf
         self._state = np.zeros(STATE_SIZE)
         self._state[[STAMP, RATE, LAST_HEADING, STATIONARY_HEADING]] = np.nan
         self._state[BIAS_VARIANCE] = gyro.bias**2
         self._state[CHI2_UNRELATED] = 2.0 * MIN_EVIDENCE if gyro.proven else 0.0
+        wheels = considered or SystematicErrors(0.0, 0.0)
+        self._noise = np.array([
+            gyro.noise**2, gyro.bias_walk**2, gyro.scale**2, lever**2, self._band,
+            wheels.turn_per_distance**2, wheels.turn**2, considered is None,
+        ])  # fmt: skip
 
     @property
     def trusted(self) -> bool:
@@ -115,8 +129,11 @@ class GyroFusion:
 
     def correct(
         self, order: Ints, motions: Motions, readings: Columns | None, stamps: Array
-    ) -> tuple[Motions, list[Disagreement]]:
+    ) -> tuple[Motions, list[Disagreement], Array]:
         """Return the motions with corrected turns, and where wheels and gyro disagree.
+
+        Also return the share (m,) of the gyro in each turn, and the standard deviation of its bias, rad/s,
+        0 without readings: (m, 2).
 
         Parameters
         ----------
@@ -130,19 +147,15 @@ class GyroFusion:
         rates = -rates if self._gyro.upside_down else np.ascontiguousarray(rates)
         d_pose, covariance = motions.d_pose.copy(), motions.covariance.copy()
         disagreement = np.full((len(order), 2), np.nan)
-        noise = np.array([
-            self._gyro.noise**2, self._gyro.bias_walk**2, self._gyro.scale**2, self._lever**2,
-            self._band,
-        ])  # fmt: skip
+        shares = np.zeros((len(order), 2))
         inputs = (order, motions.stamps, motions.duration)
-        _correct(
-            self._state, inputs, (rows, stamps, rates), noise, (d_pose, covariance, disagreement)
-        )
+        outputs = (d_pose, covariance, disagreement, shares)
+        _correct(self._state, inputs, (rows, stamps, rates), self._noise, outputs)
         disagreements = [
             Disagreement(float(motions.stamps[k]), *map(float, disagreement[k]))
             for k in np.flatnonzero(~np.isnan(disagreement[:, 0]))
         ]
-        return motions._replace(d_pose=d_pose, covariance=covariance), disagreements
+        return motions._replace(d_pose=d_pose, covariance=covariance), disagreements, shares
 
     def rejection(self) -> str:
         """Return one line on why the gyro was not used although the robot turned; else empty."""
@@ -277,31 +290,47 @@ def _hidden(d_pose: Array, lever2: float, band: float) -> float:
 
 
 @kernel
-def _update(d_pose: Array, P: Array, innovation: float, wheels: float, gyro: float) -> None:
-    """Correct a motion (3,) and its covariance (3, 3) by the gyro's turn minus its own.
+def _update(
+    d_pose: Array,
+    P: Array,
+    innovation: float,
+    wheels: tuple[float, float],
+    gyro: tuple[float, float],
+) -> float:
+    """Correct a motion (3,) and its covariance (3, 3) by the gyro's turn minus its own; return the gain.
 
-    `wheels` and `gyro` are the variances for the gain. The covariance is updated in the form that
-    is valid for any gain (Joseph), with the motion's own variance.
+    `wheels` are the variance for the gain, and the part of the turn's own that P does not contain; `gyro`
+    are the variance for the gain, and the part of it that P is to contain. The covariance is updated in the
+    form that is valid for any gain (Joseph).
     """
-    if innovation**2 > GATE * (wheels + gyro):  # the wheels do not measure the robot's turn
-        wheels += innovation**2
+    expected, own = wheels[0], P[2, 2] + wheels[1]
+    if innovation**2 > GATE * (expected + gyro[0]):  # the wheels do not measure the robot's turn
+        expected += innovation**2
+        own += innovation**2
         P[2, 2] += innovation**2
-    gain = wheels / (wheels + gyro) * (P[:, 2] / P[2, 2] if P[2, 2] > 0.0 else np.zeros(3))
-    gain[2] = wheels / (wheels + gyro)
+    share = expected / (expected + gyro[0])
+    gain = share * (P[:, 2] / own if own > 0.0 else np.zeros(3))
+    gain[2] = share
     d_pose += gain * innovation
     d_pose[2] = wrap_in_kernel(d_pose[2])
     A = np.eye(3)
     A[:, 2] -= gain
-    P[:] = A @ P @ A.T + gyro * np.outer(gain, gain)
+    P[:] = A @ P @ A.T + gyro[1] * np.outer(gain, gain)
+    return share
 
 
 @kernel
 def _fuse(
     state: Array, d_pose: Array, P: Array, dt: float, turn: float, noise: Array, disagreement: Array
-) -> None:
-    """Correct a motion (3,) of `dt` s and its covariance (3, 3) by the gyro's `turn`, bias included."""
+) -> float:
+    """Correct a motion (3,) of `dt` s and its covariance (3, 3) by the gyro's `turn`, bias included.
+
+    Return the share of the gyro in the corrected turn.
+    """
     state[BIAS_VARIANCE] += noise[1] * dt
-    state[WHEEL_VARIANCE] += min(dt / SMOOTHING_TIME, 1.0) * (P[2, 2] / dt - state[WHEEL_VARIANCE])
+    systematic = noise[5] * math.hypot(d_pose[0], d_pose[1]) + noise[6] * abs(d_pose[2])
+    wheels = P[2, 2] + systematic
+    state[WHEEL_VARIANCE] += min(dt / SMOOTHING_TIME, 1.0) * (wheels / dt - state[WHEEL_VARIANCE])
     stationary = d_pose[0] == 0.0 and d_pose[2] == 0.0 and P[2, 2] == 0.0
     if stationary:
         learning = _wait(state, noise[0], dt)
@@ -309,8 +338,9 @@ def _fuse(
         learning = False
         hidden = _hidden(d_pose, noise[3], noise[4])
         _start(state, state[LAST_HEADING] - turn, hidden, noise[0])
-    variance = noise[0] * dt + noise[2] * abs(turn)
-    if _add_to_window(state, d_pose[2], turn, P[2, 2] + variance, dt):
+    random = noise[0] * dt
+    variance = random + noise[2] * abs(turn)
+    if _add_to_window(state, d_pose[2], turn, wheels + variance, dt):
         _close_window(state, disagreement)
         if math.isfinite(disagreement[0]):
             slip2 = noise[3] * (disagreement[0] - disagreement[1]) ** 2
@@ -320,7 +350,10 @@ def _fuse(
         variance += state[BIAS_VARIANCE] * dt * max(BIAS_CORRELATION_TIME, dt)
         innovation = wrap_in_kernel(turn - state[BIAS] * dt - d_pose[2])
         if not learning or innovation**2 > STATIONARY_GATE * variance:
-            _update(d_pose, P, innovation, state[WHEEL_VARIANCE] * dt, variance)
+            kept = variance if noise[7] > 0.0 else random
+            expected = state[WHEEL_VARIANCE] * dt
+            return _update(d_pose, P, innovation, (expected, systematic), (variance, kept))
+    return 0.0
 
 
 @kernel
@@ -329,12 +362,12 @@ def _correct(
     motions: tuple[Ints, Array, Array],
     readings: tuple[Ints, Array, Array],
     noise: Array,
-    out: tuple[Array, Array, Array],
+    out: tuple[Array, Array, Array, Array],
 ) -> None:
     """Process motions (order, stamps, durations) and readings (order, stamps, rates) in log order."""
     order, stamps, durations = motions
     rows, times, rates = readings
-    d_pose, covariance, disagreement = out
+    d_pose, covariance, disagreement, shares = out
     j = 0
     for k in range(len(order)):
         while j < len(rows) and rows[j] < order[k]:
@@ -343,7 +376,11 @@ def _correct(
         before, state[LAST_HEADING] = state[LAST_HEADING], _heading(state, stamps[k])
         turn = state[LAST_HEADING] - before
         if not (math.isnan(d_pose[k, 0]) or math.isnan(turn)) and durations[k] > 0.0:
-            _fuse(state, d_pose[k], covariance[k], durations[k], turn, noise, disagreement[k])
+            shares[k, 0] = _fuse(
+                state, d_pose[k], covariance[k], durations[k], turn, noise, disagreement[k]
+            )
+        if not math.isnan(state[STAMP]):
+            shares[k, 1] = math.sqrt(state[BIAS_VARIANCE])
     while j < len(rows):
         _read(state, times[j], rates[j])
         j += 1

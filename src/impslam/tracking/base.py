@@ -122,6 +122,8 @@ class Tracker(Component):
     _reference: tuple[Array, Array] = PrivateAttr()
     _odometry: Array = PrivateAttr()
     _systematic: Sequence[SystematicErrors | None] = PrivateAttr(())
+    _systematic_before: SystematicErrors | None = PrivateAttr(None)
+    """Those of the newest keyframe that has any."""
     _travelled: dict[str, Array] = PrivateAttr(default_factory=dict)
     _screening: Screening = PrivateAttr(default_factory=Screening)
     _duration: float = PrivateAttr(0.0)
@@ -221,9 +223,10 @@ class Tracker(Component):
             sweeps.T_middle_stamp[rows.start : stop],
             sweeps.stamp_covariance[rows.start : stop],
         )
+        elapsed = self._duration + np.cumsum(motions.duration[rows])
         for k, systematic in enumerate(self._systematic[rows]):
             if systematic is not None:
-                errors = systematic.errors(T_stamp[k])
+                errors = systematic.errors(T_stamp[k], elapsed[k])
                 spread_stamp[k] += errors @ errors.T
         self._duration += float(motions.duration[rows.start : stop].sum())
         m, keyframe = rows.stop - rows.start, None
@@ -256,9 +259,12 @@ class Tracker(Component):
         systematic = self._systematic[row]
         if systematic is not None:
             replaced = np.zeros((3, 3))
-            replaced[2, 2] = systematic.turn_variances(d_pose)
-            part = SystematicPart(systematic.errors(d_pose), replaced)
+            replaced[2, 2] = systematic.turn_variances(d_pose, self._duration)
+            errors = systematic.errors(d_pose, self._duration)
+            correlation = systematic.correlation(self._systematic_before or systematic)
+            part = SystematicPart(errors, replaced, correlation, systematic.learned)
             covariance = covariance + replaced
+            self._systematic_before = systematic
         return Keyframe(
             id=self._keyframes,
             stamp=float(sweeps.columns.stamps[row]),

@@ -1,0 +1,40 @@
+"""The systematic errors of odometry's turns, which wheels and gyro share, over a log."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from impslam.noise import SystematicErrors
+from impslam.types import Array, Ints
+
+KEPT = 1000
+"""Rows of odometry that are kept beyond a batch: sweeps wait for at most 25 rows of the log, or for the
+delay of another sensor."""
+
+
+class TurnErrors:
+    """Stores the gyro's share in the newest motions, and the standard deviation of its bias."""
+
+    def __init__(self, wheels: SystematicErrors | None, gyro_scale: float) -> None:
+        """`wheels` are the errors of the wheels, if there are any; `gyro_scale` is relative."""
+        self._wheels, self._gyro_scale = wheels, gyro_scale
+        self._order, self._shares = np.empty(0, np.int64), np.empty((0, 2))
+
+    def add(self, order: Ints, shares: Array) -> None:
+        """Add motions at positions in the log (m,): shares of the gyro, and sigmas of its bias, (m, 2)."""
+        self._order = np.concatenate([self._order[-KEPT:], order])
+        self._shares = np.concatenate([self._shares[-KEPT:], shares])
+
+    def at(self, order: Ints) -> Sequence[SystematicErrors | None]:
+        """Return the errors of the newest motion before each position in the log; None: none."""
+        newest = np.searchsorted(self._order, order) - 1
+        return [self._of(k) for k in newest.tolist()]
+
+    def _of(self, motion: int) -> SystematicErrors | None:
+        share, bias = self._shares[motion].tolist() if motion >= 0 else (0.0, 0.0)
+        if not bias:
+            return self._wheels
+        wheels = self._wheels or SystematicErrors(0.0, 0.0)
+        return wheels._replace(gyro_scale=self._gyro_scale, gyro_bias=bias, gyro_share=share)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from impslam.diagnosis.robust import fit, jackknife
+from impslam.diagnosis.robust import BIWEIGHT_CUTOFF, fit, jackknife
 
 DRIVES = 150
 
@@ -47,3 +47,26 @@ def test_fit_ignores_a_minority_of_outliers(rng):
     y = A @ [0.5, -2.0] + 0.01 * rng.standard_normal(60)
     y[:20] += 5.0
     np.testing.assert_allclose(fit(A, y).p, [0.5, -2.0], atol=0.02)
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e-6])
+def test_fit_is_that_of_weighted_least_squares_in_any_unit(rng, unit):
+    """Without outliers, the weights at the solution are Tukey's."""
+    A = rng.standard_normal((80, 3))
+    y = A @ [0.5, -2.0, 1.0] + 0.01 * rng.standard_normal(80)
+    A[:, 1] *= unit
+    found = fit(A, y)
+    residuals = y - A @ found.p
+    scale = 1.4826 * np.median(np.abs(residuals))
+    root = np.maximum(1.0 - (residuals / (BIWEIGHT_CUTOFF * scale)) ** 2, 0.0)
+    expected = np.linalg.lstsq(A * root[:, None], y * root, rcond=None)[0]
+    np.testing.assert_allclose(found.p, expected, rtol=1e-6)
+
+
+def test_parameters_without_information_are_zero_or_shared(rng):
+    x = rng.standard_normal(60)
+    y = 2.0 * x + 0.01 * rng.standard_normal(60)
+    never = fit(np.column_stack((x, np.zeros(60))), y)
+    np.testing.assert_allclose(never.p, [2.0, 0.0], atol=0.01)
+    alike = fit(np.column_stack((x, x)), y)
+    np.testing.assert_allclose(alike.p, [1.0, 1.0], atol=0.01)

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from impslam.geometry.kernels import kernel, plain
 from impslam.types import Array
 
 CLEAR = 6.0
@@ -14,6 +15,9 @@ BIWEIGHT_CUTOFF = 4.685
 """Standard deviations beyond which a row has no weight: 95 % efficient for normal errors (Tukey's
 biweight; Holland & Welsch 1977)."""
 MAX_ITERATIONS = 30
+RIDGE = 1e-13
+"""Share of its squares that is added to those of each parameter: where the rows do not determine the
+parameters, the smallest that fit are found. It is above the rounding errors, and far below any sigma."""
 
 
 class RobustFit(NamedTuple):
@@ -48,13 +52,20 @@ def fit(A: Array, y: Array, block: int = 1, min_sigma: float = 1e-9) -> RobustFi
 
     `min_sigma` is a lower bound of the standard deviation of a row.
     """
-    weights: Array = np.ones(len(y))
-    p: Array = np.zeros(A.shape[1])
+    p, residuals, scale = _reweighted(plain(A), plain(y), min_sigma)
+    return RobustFit(p, sandwich(A, residuals, scale, block))
+
+
+@kernel
+def _reweighted(A: Array, y: Array, min_sigma: float) -> tuple[Array, Array, float]:
+    """Return the parameters (n,), the residuals (m,), and their robust standard deviation."""
+    weights, p, scale = np.ones(len(y)), np.zeros(A.shape[1]), min_sigma
+    residuals = y.copy()
     for k in range(MAX_ITERATIONS):
-        weighted: Array = A * weights[:, None]
         before = p
-        p = np.asarray(np.linalg.lstsq(weighted.T @ A, weighted.T @ y, rcond=None)[0])
-        residuals = y - A @ p
+        p = _least_squares(A, y, weights)
+        for i in range(len(y)):
+            residuals[i] = y[i] - (A[i] * p).sum()
         scale = max(robust_sigma(residuals), min_sigma)
         if k < MAX_ITERATIONS // 3:  # least absolute residuals: the biweight needs a good start
             weights = 1.0 / np.maximum(np.abs(residuals), scale)
@@ -62,7 +73,32 @@ def fit(A: Array, y: Array, block: int = 1, min_sigma: float = 1e-9) -> RobustFi
             weights = biweight(residuals, scale)
             if (np.abs(p - before) <= 1e-9 * np.abs(p) + 1e-12).all():
                 break
-    return RobustFit(p, sandwich(A, residuals, scale, block))
+    return p, residuals, scale
+
+
+@kernel
+def _least_squares(A: Array, y: Array, weights: Array) -> Array:
+    """Return the parameters (n,) that minimise the weighted squares; see `RIDGE`."""
+    n = A.shape[1]
+    N, p = np.zeros((n, n)), np.zeros(n)
+    for i in range(len(y)):
+        for a in range(n):
+            p[a] += weights[i] * A[i, a] * y[i]
+            for b in range(n):
+                N[a, b] += weights[i] * A[i, a] * A[i, b]
+    for a in range(n):
+        N[a, a] += RIDGE * N[a, a] + 1e-300
+    for a in range(n):  # elimination; the matrix is positive definite
+        for b in range(a + 1, n):
+            factor = N[b, a] / N[a, a]
+            p[b] -= factor * p[a]
+            for c in range(a + 1, n):
+                N[b, c] -= factor * N[a, c]
+    for a in range(n - 1, -1, -1):
+        for b in range(a + 1, n):
+            p[a] -= N[a, b] * p[b]
+        p[a] /= N[a, a]
+    return p
 
 
 def sandwich(J: Array, residuals: Array, scale: float, block: int = 1) -> Array:
@@ -102,11 +138,13 @@ def jackknife(J: Array, scores: Array, slopes: Array, block: int = 1) -> Array:
     return covariance
 
 
+@kernel
 def robust_sigma(residuals: Array) -> float:
     """Return the standard deviation of normal residuals (m,) by their median; half may be outliers."""
     return 1.4826 * float(np.median(np.abs(residuals))) + 1e-9
 
 
+@kernel
 def biweight(residuals: Array, scale: float) -> Array:
     """Return Tukey's weights (m,): 1 at zero, 0 from `BIWEIGHT_CUTOFF` standard deviations on."""
     return np.square(np.maximum(1.0 - np.square(residuals / (BIWEIGHT_CUTOFF * scale)), 0.0))

@@ -391,3 +391,27 @@ def test_a_copy_does_not_change():
         np.testing.assert_array_equal(one, other)
     still.solve()
     assert not still.is_folded.any()
+
+
+def test_roots_follow_each_change_of_the_graph():
+    """The roots are kept between changes; read them before each one."""
+    graph = grown(square(3))
+    assert graph.roots.tolist() == [0] * len(graph)
+    n = len(graph)
+    graph.add_root(np.zeros(3), np.zeros((3, 3)))
+    assert graph.roots.tolist() == [*[0] * n, n]
+    lone = copy(graph)
+    lone.fold(n, 1, np.zeros(3), np.zeros((3, 3)))
+    assert lone.roots.tolist() == [0] * (n + 1)
+    graph.extend(np.array([1.0, 0.0, 0.0]), 1e-4 * np.eye(3), 1.0)
+    assert graph.roots.tolist() == [*[0] * n, n, n]
+    graph.close(0, n, np.zeros(3), np.eye(3))
+    assert graph.roots.tolist() == [0] * (n + 2)
+    snapshot = copy(graph)
+    graph.remove_closures(1)
+    assert graph.roots.tolist() == [*[0] * n, n, n]
+    assert snapshot.roots.tolist() == [0] * (n + 2)
+    chain = grown(square(3))
+    assert not chain.roots.any()
+    chain.cut(n - 1)
+    assert chain.roots.tolist() == [*[0] * (n - 1), n - 1]

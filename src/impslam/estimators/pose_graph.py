@@ -51,6 +51,7 @@ class PoseGraph:
     """
 
     frozen = 0
+    _roots: Ints | None = None  # None: the edges or nodes have changed since
 
     def __init__(self) -> None:
         self.poses, self.covariances = np.empty((0, 3)), np.empty((0, 3, 3))
@@ -87,6 +88,7 @@ class PoseGraph:
 
     def add_root(self, pose: Array, covariance: Array) -> None:
         """Add a node at a pose (3,) without an edge: the first one of a session."""
+        self._roots = None
         self.hosts = np.append(self.hosts, len(self))
         for name, row in (
             ("poses", pose), ("covariances", covariance),
@@ -133,6 +135,7 @@ class PoseGraph:
     def remove_closures(self, closures: int) -> None:
         """Remove the newest closures; there must be no later motion."""
         self.closures -= closures
+        self._roots = None
         for column in self._edges:
             column.shorten(closures)
 
@@ -149,6 +152,7 @@ class PoseGraph:
         if len(crossing) != 1 or (self.hosts[node:] < node).any():
             return None
         information = edges.information[crossing[0]]
+        self._roots = None
         for column in self._edges:
             column.remove(crossing)
         return between(self.poses[node - 1], self.poses[node]), np.asarray(
@@ -156,6 +160,7 @@ class PoseGraph:
         )
 
     def _add(self, *edge: Any) -> None:
+        self._roots = None
         for column, value in zip(self._edges, edge, strict=True):
             column.append(value)
 
@@ -190,6 +195,7 @@ class PoseGraph:
             column = getattr(self, name).copy()
             column[node] = value
             setattr(self, name, column)
+        self._roots = None
         old, self._edges = [column.array for column in self._edges], _columns()
         moved = (old[0] == node) | (old[1] == node)
         for column, values in zip(self._edges, old, strict=True):
@@ -226,8 +232,11 @@ class PoseGraph:
     @property
     def roots(self) -> Ints:
         """First node (n,) that is connected to each; 0 for those that are placed in the map."""
-        i, j, *_ = self.edges
-        return np.asarray(roots(len(self), i, j)[self.hosts])
+        if self._roots is None:
+            i, j, *_ = self.edges
+            self._roots = np.asarray(roots(len(self), i, j)[self.hosts])
+            self._roots.flags.writeable = False
+        return self._roots
 
     def solve(self) -> None:
         """Move the nodes to the optimum of motions and closures.

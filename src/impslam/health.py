@@ -168,7 +168,7 @@ class Health(NamedTuple):
         line = ", ".join(f"{state} at {counts[state]} scans" for state in STATES if counts[state])
         worst = max(spans, key=lambda span: (span.reason >= ELSEWHERE, span.scans))
         begin = worst.begin - float(self.stamps.min())
-        line += f"; longest {begin:.1f} s after the start: {worst.description}"
+        line += f"; the longest begins {begin:.1f} s after the start: {worst.description}"
         if self.reasons[-1] == NONE:
             return line + "; TRACKING at the end"
         return line + f"; at the end {spans[-1].state}: {spans[-1].description}"

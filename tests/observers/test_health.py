@@ -230,7 +230,7 @@ def test_spans_report_the_longest_distance_and_the_smallest_share():
         "only 12 % of the scan fits the map; the map is not updated",
     ]
     states = "TRACKING at 1 scans, DEGRADED at 4 scans"
-    assert health.summary.startswith(states + "; longest 0.0 s after the start: nothing to see")
+    assert health.summary.startswith(states + "; the longest begins 0.0 s after the start: nothing")
     assert health.summary.endswith("at the end DEGRADED: " + list(health.spans())[1].description)
 
 

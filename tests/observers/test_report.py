@@ -203,3 +203,19 @@ def test_map_quality_is_reported_if_scans_overlap():
     for words in ("disagreement", "2.00 cm", "3.00 cm", "0.4 %", "90.0 %"):
         assert words in text
     assert "-</td>" in quality_section(Quality(0.01, 0.01, math.nan, 0.015, 0.004, 0.001, 0.0))
+
+
+def test_the_lines_of_two_logs_at_one_time_are_not_joined():
+    """Time runs back where a map was continued, by more than stamps jitter."""
+    t = np.array([0.0, 50.0, 49.9, 100.0, 0.0, 100.0])
+    text = chart("t", t, [ChartLine("", np.arange(6.0), "a")])
+    assert re.findall(r'class="line a" d="([^"]*)"', text)[0].count("M") == 2
+
+
+def test_the_figures_of_a_continued_map_are_those_of_the_log(tmp_path):
+    """The path of the map has 50 scans, the log 20 of them in 2 s."""
+    outcome = runs.make_outcome(20)
+    text = write(tmp_path, outcome=outcome)
+    assert ">20<" in text
+    assert "10.0 scans/s" in text
+    assert "real time, 1.00 ms per scan" in text

@@ -128,7 +128,7 @@ def _nees(pairs: PosePairs, history: History) -> tuple[str, str] | None:
     high = chi2_bounds(dof)[1]
     inside = 100.0 * np.mean(values < high)
     ideal = "ideal 3" if dof == 3 else "position only; ideal 2"
-    return f"{values.mean():.1f}", f"{ideal}; {inside:.1f} % below {high:.1f}, ideal 97.5 %"
+    return f"{values.mean():.2f}", f"{ideal}; {inside:.1f} % below {high:.1f}, ideal 97.5 %"
 
 
 def _at(history: History, stamps: Array) -> Array:

@@ -11,8 +11,8 @@ MAX_ROWS = 30
 MIN_WIDTH = 2.0
 """Minimum width of a drawn span, of 1000: about two pixels, so that a single scan is visible."""
 NOTE = (
-    "TRACKING: the pose is within its own ellipse. DEGRADED: part of its evidence has failed. "
-    "LOST: it may be anywhere, and the map is not updated."
+    "TRACKING: the true pose is within the error ellipse. DEGRADED: the pose is the best estimate, but "
+    "some of its data are missing or faulty. LOST: it may be anywhere, and the map is not updated."
 )
 
 

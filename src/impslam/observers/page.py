@@ -18,6 +18,8 @@ from impslam.types import Array
 
 BUCKETS = 400
 """Longer lines are drawn with the minimum and maximum of so many segments."""
+MIN_RETURN = 10.0
+"""Thousandths of the time axis by which time runs back between two logs; jitter of stamps is far less."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -167,15 +169,31 @@ def _labels(axis: str, ticks: Sequence[float], places: Sequence[float]) -> str:
 def _path(x: Array, y: Array) -> str:
     """Return an SVG path through the finite points; a long one is reduced to its local extremes."""
     points = np.column_stack((x, y))[np.isfinite(y)]
-    if len(points) > 2 * BUCKETS:
-        segments = np.array_split(points, BUCKETS)
-        extremes = [s[np.sort([s[:, 1].argmin(), s[:, 1].argmax()])] for s in segments]
-        points = np.vstack(extremes)
-    return "M" + "L".join(f"{a:.1f} {b:.2f}" for a, b in points) if len(points) else ""
+    return "".join("M" + _joined(_reduced(line)) for line in _logs(points))
+
+
+def _logs(points: Array) -> list[Array]:
+    """Split points (n, c), whose first column is the time, where the next log of a map begins."""
+    begins = np.flatnonzero(np.diff(points[:, 0]) < -MIN_RETURN) + 1
+    return np.split(points, begins) if len(points) else []
+
+
+def _reduced(line: Array) -> Array:
+    """Return the local extremes of a long line, or a short one as it is."""
+    if len(line) <= 2 * BUCKETS:
+        return line
+    segments = np.array_split(line, BUCKETS)
+    return np.vstack([s[np.sort([s[:, 1].argmin(), s[:, 1].argmax()])] for s in segments])
+
+
+def _joined(points: Array) -> str:
+    return "L".join(f"{a:.1f} {b:.2f}" for a, b in points)
 
 
 def _area(x: Array, top: Array, bottom: Array) -> str:
-    step = max(1, len(x) // BUCKETS)
-    forth, back = slice(None, None, step), slice(None, None, -step)
-    points = zip((*x[forth], *x[back]), (*top[forth], *bottom[back]), strict=True)
-    return '<path class="band" d="M' + "L".join(f"{a:.1f} {b:.2f}" for a, b in points) + 'Z"/>'
+    """Return the SVG area between two lines."""
+    text = ""
+    for log in _logs(np.column_stack((x, top, bottom))):
+        some = log[:: max(1, len(log) // BUCKETS)]
+        text += f"M{_joined(some[:, [0, 1]])}L{_joined(some[::-1, [0, 2]])}Z"
+    return f'<path class="band" d="{text}"/>'

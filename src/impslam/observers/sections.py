@@ -29,10 +29,11 @@ NO_LANDMARKS = "<p>No landmark was found. The path is dead reckoning.</p>"
 
 def heading(outcome: Outcome, history: History) -> str:
     """Return the title and the headline figures."""
-    landmarks = history.known.landmarks
+    known = history.known
+    landmarks, before = known.landmarks, len(known.stamps) - len(outcome.health.stamps)
     kinds = Counter(mark.kind for mark in landmarks)
     found = ", ".join(f"{n} {kind}{'s' * (n > 1)}" for kind, n in sorted(kinds.items()))
-    scans = len(history.path)
+    scans = outcome.counts.get("steps", 0)  # without those of a continued map
     speed = real_time_factor(outcome)
     per_scan = 1e3 * working_seconds(outcome) / scans if scans else math.nan
     once = f"; {compiled(outcome)}, once, not counted" if compiled(outcome) else ""
@@ -44,7 +45,7 @@ def heading(outcome: Outcome, history: History) -> str:
     facts = {
         "Scans": (f"{scans:,}", f"{lost:,} problems and notes" if lost else "no problems"),
         "Duration": (duration(seconds), f"{scans / seconds:.1f} scans/s" if seconds > 0 else ""),
-        "Path": (f"{length(history.known, history.path):.1f} m", "estimated"),
+        "Path": (f"{length(known, history.path, before):.1f} m", "estimated"),
         "Landmarks": (str(len(landmarks)), found),
         **_loops(outcome),
         "Speed": rate,

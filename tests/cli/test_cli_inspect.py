@@ -8,10 +8,14 @@ import numpy as np
 import pytest
 from tests.sources.logs import write_acfr_park
 
+from impslam.cli.inspect import _range_limits
+from impslam.cli.log_statistics import ScanGeometry
 from impslam.simulation.simulate import simulate
 from impslam.simulation.world import load_world
 from impslam.sources.recording import McapWriter
 from impslam.types import Climate, LaserScan, OdometryPose, WheelAngles
+
+NAN = float("nan")
 
 
 def test_room(imp, room) -> None:
@@ -196,3 +200,16 @@ def test_a_finding_and_its_setting(imp, tmp_path) -> None:
     run = imp("run", tmp_path / "arena.mcap", "-o", tmp_path / "run", *settings).out
     assert "reads: preset imp; scan /scan" in run
     assert "problem: wrong preset: " in run
+
+
+@pytest.mark.parametrize(
+    ("limits", "shown"),
+    [
+        ((0.1, 9.0), "0.10 m (messages) to 9.00 m (messages)"),
+        ((NAN, 9.0), "up to 9.00 m (messages)"),
+        ((0.1, NAN), "from 0.10 m (messages)"),
+        ((NAN, NAN), "none"),
+    ],
+)
+def test_range_limits_that_are_not_given_are_not_named(limits, shown) -> None:
+    assert _range_limits(ScanGeometry(limits=limits)) == shown

@@ -54,7 +54,7 @@ def test_output(imp, room, tmp_path) -> None:
     assert said.err == ""  # no progress bar where there is no terminal
     words = " ".join(said.out.split())
     assert "scans 100 used" in words
-    assert "2 cylinder, 4 wall" in words
+    assert "2 cylinders, 4 walls" in words
     assert "times real time" in words
     assert f"report: {tmp_path / 'report.html'}" in words
 

@@ -135,8 +135,11 @@ def _range_limits(beams: ScanGeometry) -> str:
         known = [value for value in (in_messages, given) if not math.isnan(value)]
         end = narrower(known, default=math.nan)
         origin = "messages" if end == in_messages else "config"
-        ends.append(f"{end:.2f} m ({origin})" if known else "none")
-    return " to ".join(ends)
+        ends.append(f"{end:.2f} m ({origin})" if known else "")
+    low, high = ends
+    if low and high:
+        return f"{low} to {high}"
+    return (low and f"from {low}") or (high and f"up to {high}") or "none"
 
 
 def _motion_facts(survey: Survey, config: Config) -> dict[str, str]:

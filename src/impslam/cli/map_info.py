@@ -84,8 +84,10 @@ def _picture(known: Map, image: MapImage) -> bytes:
 
 def _rows(found: MapFacts) -> dict[str, str]:
     """Return the facts in readable form."""
+    from impslam.observers.summary import kinds
+
     left, right, bottom, top = found.extent
-    marks = ", ".join(f"{n} {kind}" for kind, n in found.landmarks.items()) or "none"
+    marks = kinds(found.landmarks) or "none"
     lost = f", {found.unplaced} of them not placed in the map" if found.unplaced else ""
     graph = f"{found.motions} motions, {found.closures} closures" if found.motions else "none"
     return {

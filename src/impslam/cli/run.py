@@ -183,11 +183,10 @@ def _duration(seconds: float) -> str:
 
 def show_result(known: Map, outcome: Outcome, folder: Path, *, with_speed: bool = True) -> None:
     """Print the results of a run; `with_speed` prints its speed, meaningless after a live replay."""
-    from impslam.observers.summary import compiled, length, loops, real_time_factor
+    from impslam.observers.summary import compiled, kinds, length, loops, real_time_factor
 
     counts, seconds, factor = outcome.counts, outcome.log_seconds, real_time_factor(outcome)
-    kinds = Counter(landmark.kind for landmark in known.landmarks)
-    found = ", ".join(f"{n} {kind}" for kind, n in sorted(kinds.items())) or "none"
+    found = kinds(Counter(landmark.kind for landmark in known.landmarks)) or "none"
     closed = loops(counts)
     before = len(known.stamps) - len(outcome.health.stamps)  # sweeps of the continued map
     travel = length(known, known.path(), before)

@@ -14,6 +14,7 @@ from impslam.observers.page import ChartLine, chart, escape, folded, section, ta
 from impslam.observers.summary import (
     compiled,
     config_toml,
+    kinds,
     length,
     real_time_factor,
     stage_times,
@@ -31,8 +32,7 @@ def heading(outcome: Outcome, history: History) -> str:
     """Return the title and the headline figures."""
     known = history.known
     landmarks, before = known.landmarks, len(known.stamps) - len(outcome.health.stamps)
-    kinds = Counter(mark.kind for mark in landmarks)
-    found = ", ".join(f"{n} {kind}{'s' * (n > 1)}" for kind, n in sorted(kinds.items()))
+    found = kinds(Counter(mark.kind for mark in landmarks))
     scans = outcome.counts.get("steps", 0)  # without those of a continued map
     speed = real_time_factor(outcome)
     per_scan = 1e3 * working_seconds(outcome) / scans if scans else math.nan

@@ -72,6 +72,11 @@ def _health(health: Health) -> dict[str, Any]:
     return {"scans": health.counts(), "spans": spans, "at_end": STATES[newest]}
 
 
+def kinds(numbers: Mapping[str, int]) -> str:
+    """Return the numbers of landmarks of each kind in words, e.g. "1 corner, 4 walls"."""
+    return ", ".join(f"{n} {kind}{'s' * (n != 1)}" for kind, n in sorted(numbers.items()))
+
+
 def loops(counts: Mapping[str, int]) -> str:
     """Return how many loops were closed, or "" if the estimator closes none."""
     if "loops tried" not in counts:

@@ -116,6 +116,8 @@ def test_merge_joins_maps_of_several_drives(imp, office, tmp_path) -> None:
     assert said.code == 0, said.err
     assert "2 maps, joined by" in said.out
     both = Map.load(tmp_path / "both.imp")
+    parts = len(Map.load(office).landmarks) + len(Map.load(tmp_path / "other.imp").landmarks)
+    assert f"landmarks  {len(both.landmarks)}, merged from {parts}\n" in said.out
     assert len(both.keyframes) == 20 + len(DRIVE)
     assert "made from  drawn, drawn" in imp("map", "info", tmp_path / "both.imp").out
 

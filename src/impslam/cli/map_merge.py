@@ -47,7 +47,7 @@ def merge(
         {
             "merged": f"{len(maps)} maps, joined by {more} closures",
             "scans": str(len(known.stamps)),
-            "landmarks": f"{len(known.landmarks)} of {sum(len(part.landmarks) for part in maps)}",
+            "landmarks": f"{len(known.landmarks)}, merged from {sum(len(one.landmarks) for one in maps)}",
             "map": str(output),
         }
     )

@@ -29,7 +29,7 @@ _FORM = """<form method="post" action="/login">
           maxlength="256" required autofocus />
         <button>Log in</button>
       </form>"""
-_LINK = """<p>No password is set, so this page opens by a link that is good once.
+_LINK = """<p>No password is set, so this page opens only by a link that works once.
         $where</p>"""
 _PRINTED = "The newest one is printed where <code>imp robot</code> runs."
 _SOON = (

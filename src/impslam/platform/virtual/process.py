@@ -139,14 +139,14 @@ class VirtualRobot:
     def _request(self, request: Mapping[str, Any], timeout: float = ANSWER_TIMEOUT) -> Answer:
         with self._lock:
             if self._process is None or self._process.stdin is None:
-                raise ImpError("the virtual IMP is not running; start it first")
+                raise ImpError("the virtual robot is not running; start it first")
             with contextlib.suppress(BrokenPipeError):  # reported below
                 self._process.stdin.write(json.dumps(request) + "\n")
                 self._process.stdin.flush()
             line = self._receive_answer(timeout)
         if not line:
             self._answers.put("")  # for the next request
-            raise ImpError("the virtual IMP has ended; its last words are on standard error")
+            raise ImpError("the virtual robot has ended; standard error shows why")
         reply: Answer = json.loads(line)
         if "error" in reply:
             raise ImpError(reply["error"])
@@ -161,7 +161,7 @@ class VirtualRobot:
                 line = self._answers.get(timeout=max(end - time.monotonic(), 0.0))
                 self._unanswered -= 1
         except queue.Empty:
-            raise ImpError(f"the virtual IMP does not answer within {timeout:g} s") from None
+            raise ImpError(f"the virtual robot does not answer within {timeout:g} s") from None
         return line
 
 

@@ -50,7 +50,7 @@ class TruthFollower:
             try:
                 truth = self._truth()
             except ImpError as error:  # the virtual robot has ended
-                log.warning("its truth is recorded no more: %s", in_a_line(error))
+                log.warning("the true path is no longer recorded: %s", in_a_line(error))
                 return
             arrived = now()
             stamp = arrived - (time.monotonic() - truth["monotonic"])

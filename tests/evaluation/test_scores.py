@@ -231,9 +231,14 @@ def test_relations_are_drawn_as_shares(tmp_path):
 
 def test_a_robot_that_stood_still_without_any_error_can_be_drawn(tmp_path):
     rows = np.c_[np.arange(5.0), np.zeros((5, 3))]
-    picture({"a": score_path(RecordedRun(rows), rows, "fit", 1.0)}).savefig(tmp_path / "a.png")
+    figure = picture({"a": score_path(RecordedRun(rows), rows, "fit", 1.0)}, {"a": rows})
+    np.testing.assert_array_equal(figure.axes[1].lines[0].get_ydata(), np.zeros(5))
+    figure.savefig(tmp_path / "a.png")
     errors = {"a": relation_errors(rows, np.array([[0.0, 1.0, 0, 0, 0]]))}
-    picture({}, {"a": rows}, errors).savefig(tmp_path / "b.png")
+    figure = picture({}, {"a": rows}, errors)
+    share = figure.axes[1].lines[0].get_ydata()
+    assert share[-1] == 1.0, "all relations have at most the smallest error on the axis"
+    figure.savefig(tmp_path / "b.png")
 
 
 def test_the_alignment_of_a_run_is_returned():

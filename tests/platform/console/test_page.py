@@ -286,9 +286,11 @@ def test_a_map_is_continued_and_a_click_gives_a_hint(browser, robot):
         expect(making.get_by_test_id("go-on")).to_have_count(0)
         expect(broken.get_by_test_id("localise")).to_have_count(0)
         hall.get_by_test_id("localise").click()
-        expect(page.get_by_text("It stays as it is.")).to_be_visible()
+        expect(page.get_by_text("It stays as it is.")).to_contain_text("after some 10 m of driving")
         page.get_by_test_id("confirm").click()
-        expect(page.get_by_test_id("sought")).to_contain_text("or click where it is")
+        expect(page.get_by_test_id("sought")).to_contain_text(
+            "Drive on for some 10 m, or click where it is."
+        )
         expect(watcher.page.get_by_test_id("sought")).not_to_contain_text("click")
         expect(page.get_by_test_id("pose-x")).to_have_count(0)
         page.get_by_test_id("tab-record").click()

@@ -21,7 +21,7 @@ export default {
           <span class="soft" data-testid="pose-sigma" title="One standard deviation">σ {{ sigma }}</span>
         </template>
         <span v-else-if="sought" class="sought" data-testid="sought" role="status">
-          {{ state === "LOST" ? "" : "Where the robot is in the map is not known yet. " }}Drive on{{
+          {{ state === "LOST" ? "" : "Where the robot is in the map is not known yet. " }}Drive on for some 10 m{{
           asks ? ", or click where it is" : "" }}.</span>
         <span v-else-if="state !== 'LOST'" class="soft">No map yet</span>
         <div v-if="!notice && (pose || state === 'LOST' || (sought && state !== 'TRACKING'))" :class="'pose-state ' + state" data-testid="pose-state" role="status">

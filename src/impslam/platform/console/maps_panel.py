@@ -49,7 +49,7 @@ class MapsPanel(StoredPanel[StoredMap]):
         else:
             act = "Go on"
             question = f"Go on with {name}? It stays, and a new map grows from it."
-        question += " Where the robot is in it is found while it drives."
+        question += " Where the robot is in it is found after some 10 m of driving."
 
         async def start() -> None:
             if await self._viewer.confirm(f"{question} The present map stays under Maps.", act):

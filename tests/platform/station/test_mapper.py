@@ -28,6 +28,7 @@ from impslam.platform.station import mapper as module
 from impslam.platform.station import warm_up as warm
 from impslam.platform.station.inbox import Inbox
 from impslam.platform.station.mapper import LiveMapper
+from impslam.recognition import everywhere
 from impslam.run import map_log
 from impslam.simulation.world import load_world
 from impslam.types import Climate, DeviceTime, LaserScan, TruePose, WheelAngles
@@ -550,16 +551,24 @@ def test_the_estimator_is_compiled_in_place_if_the_subprocess_fails(monkeypatch,
     assert "in place" in caplog.text
 
 
-def test_a_rehearsal_closes_loops_and_settles(monkeypatch):
-    """Otherwise, the first loop closure would wait for the compiler."""
-    made = []
+def test_a_rehearsal_closes_loops_settles_and_locates_the_robot(monkeypatch):
+    """Otherwise, the first loop closure, or the first search for the robot, would wait for the compiler."""
+    made, sought = [], []
 
     class Kept(warm.Run):
-        def __init__(self, config):
-            super().__init__(config)
+        def __init__(self, *args, **options):
+            super().__init__(*args, **options)
             made.append(self)
 
+    find_everywhere = everywhere._search
+
+    def search(*args):
+        sought.append(len(made))
+        return find_everywhere(*args)
+
     monkeypatch.setattr(warm, "Run", Kept)
+    monkeypatch.setattr(everywhere, "_search", search)
     warm.rehearse(load("imp", ["tracker.kind=scan_to_map", "estimator.kind=graph"]))
     assert made[0].estimator.counts()["loops closed"] > 0
     assert "settle" in made[0].clock.stages
+    assert 2 in sought

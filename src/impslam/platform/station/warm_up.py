@@ -19,7 +19,9 @@ from pathlib import Path
 
 from impslam.columns import single_row
 from impslam.config import Config, load
+from impslam.continuing import Known
 from impslam.observers.summary import config_toml
+from impslam.open_log import for_continuing
 from impslam.run import Run
 from impslam.simulation.simulate import simulate
 from impslam.simulation.world import load_world
@@ -29,6 +31,7 @@ log = logging.getLogger(__name__)
 
 WORLD = "arena"
 SCANS = 100  # enough for landmarks to be created, matched and removed
+SCANS_TO_LOCATE = 200  # 20 s; a place is searched for once the robot has driven 3 m, after 12 s
 COMPILE_TIMEOUT = 600.0  # s for the process; three times what a slow computer needs
 NICENESS = 10
 
@@ -50,16 +53,25 @@ def warm_up(config: Config) -> None:
 def rehearse(config: Config, scans: float = math.inf) -> None:
     """Map the first scans of a simulated drive, or all, and settle the map.
 
-    The end of the drive closes loops, if the estimator does, so that all kernels are called.
+    The end of the drive closes loops, if the estimator does. After all, the robot is located in that map,
+    if the estimator can continue one. So all kernels are called.
     """
     run = Run(config)
+    _drive(run, scans)
+    known = run.settled()
+    known.grid()
+    if math.isinf(scans) and for_continuing(config) is config:
+        _drive(Run(config, begin=Known(known, frozen=True)), SCANS_TO_LOCATE)
+
+
+def _drive(run: Run, scans: float) -> None:
+    """Feed the first scans of a simulated drive."""
     kind = run.robot.odometry.consumes
     for order, message in enumerate(simulate(load_world(WORLD))):
         sent = _as_odometry(message, kind)
         run.feed(single_row(type(sent).__name__, sent, order))
         if run.scans >= scans:
             break
-    run.settled().grid()
 
 
 def _as_odometry(message: Message, kind: type) -> Message:

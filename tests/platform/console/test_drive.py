@@ -310,9 +310,8 @@ def test_a_lost_link_is_shown_and_leaves_the_helm(browser, robot):
             box = page.get_by_test_id("link-lost").bounding_box()
             assert box["width"] == page.viewport_size["width"]
             expect(page.get_by_test_id("link-lost")).to_contain_text("3 s")
-            assert "grayscale" in page.get_by_test_id("map").evaluate(
-                "e => getComputedStyle(e).filter"
-            )
+            for part in (page.get_by_test_id("map"), page.locator(".panel-drive")):
+                assert "grayscale" in part.evaluate("e => getComputedStyle(e).filter")
             thawed = now()
         expect(page.get_by_test_id("link-lost")).to_have_count(0)
         page.wait_for_timeout(600)

@@ -302,6 +302,19 @@ def test_a_file_that_cannot_be_written_is_told_and_leaves_the_old_one(known, fil
     assert [path.name for path in tmp_path.iterdir()] == [file.name]
 
 
+def test_on_a_full_disk_the_advice_is_one_that_a_robots_user_can_follow(
+    known, tmp_path, monkeypatch
+):
+    """The page of a robot shows it, and offers no other folder."""
+
+    def fail(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("impslam.maps.archive._write", fail)
+    with pytest.raises(ImpError, match=r"\(No space left on device\); free disk space or check"):
+        known.save(tmp_path / "map.imp")
+
+
 def refuses(path, said=""):
     with pytest.raises(ImpError) as error:
         Map.load(path)

@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-import errno
-import os
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from itertools import islice
@@ -9,16 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from impslam.errors import ConfigError, ImpError
-from impslam.paths import (
-    is_file,
-    keep_inputs,
-    make_folder,
-    numbered,
-    read_text,
-    replacement,
-    written,
-)
+from impslam.errors import ConfigError
+from impslam.paths import is_file, keep_inputs, make_folder, numbered, read_text, replacement
 
 
 def test_names_are_numbered_before_the_suffix(tmp_path: Path) -> None:
@@ -79,18 +69,6 @@ def test_a_device_is_written_to_and_stays() -> None:
     with replacement(Path("/dev/null")) as stream:
         stream.write(b"lost")
     assert Path("/dev/null").is_char_device()
-
-
-@pytest.mark.parametrize(
-    ("number", "advice"), [(errno.ENOSPC, "free disk space"), (errno.EACCES, "check the folder")]
-)
-def test_the_user_of_a_full_disk_is_told_to_free_space(
-    tmp_path: Path, number: int, advice: str
-) -> None:
-    """Not to choose another disk, which the page of a robot does not offer."""
-    said = rf"cannot be written \(.*\); {advice}$"
-    with pytest.raises(ImpError, match=said), written(tmp_path / "map.imp", "check the folder"):
-        raise OSError(number, os.strerror(number))
 
 
 def test_a_text_that_cannot_be_read_is_explained_in_one_line(tmp_path: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import os
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
@@ -51,20 +50,12 @@ def _exchanged(a: Path, b: Path) -> bool:
     return call is not None and not call(current, os.fsencode(a), current, os.fsencode(b), flag)
 
 
-_FULL = (errno.ENOSPC, errno.EDQUOT)
-
-
 @contextmanager
 def written(path: Path, advice: str, kind: type[ImpError] = ImpError) -> Iterator[None]:
-    """Turn an `OSError` while writing a file or a folder into an `ImpError` with advice.
-
-    Of a full disk it is to free space, since the user of a robot cannot choose another one.
-    """
+    """Turn an `OSError` while writing a file or a folder into an `ImpError` with advice."""
     try:
         yield
     except OSError as error:
-        if error.errno in _FULL:
-            advice = "free disk space"
         text = f"{path}: cannot be written ({error.strerror or error}); {advice}"
         raise kind(text) from None
 

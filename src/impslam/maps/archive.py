@@ -42,7 +42,7 @@ def save(path: Path, arrays: Arrays, about: dict[str, Any]) -> Path:
     """
     facts = {"version": VERSION, "about": about}
     table = json.dumps(facts, ensure_ascii=False, default=str)
-    with written(path, "check folder and permissions"):
+    with written(path, "free disk space or check the folder"):
         with replacement(path) as stream:
             header = np.frombuffer(table.encode(), np.uint8)
             _write(stream, {"about": header, **arrays})

@@ -4,8 +4,10 @@ import math
 
 import numpy as np
 import pytest
-from tests.tracking.test_scan_to_map import circle, drive, odometry_of, scans_from, straight
+from tests.extractors.scans import room
+from tests.tracking.test_scan_to_map import ROOM, circle, drive, odometry_of, scans_from, straight
 
+from impslam.geometry.se2 import compose
 from impslam.health import ELSEWHERE, UNEXPLAINED
 from impslam.surfaces.surface_map import Alignment, add, align, empty_surface_map, no_evidence
 from impslam.tracking.hypotheses import (
@@ -128,6 +130,22 @@ def test_after_a_gap_a_scan_that_fits_only_where_the_robot_was_is_not_matched(se
     else:
         np.testing.assert_allclose(out.d_pose[20], [3.0, 0.0, 0.0], atol=0.01)
         assert (out.reasons[20:24] == UNEXPLAINED).all()
+        assert (out.reasons == ELSEWHERE).any()
+
+
+@pytest.mark.parametrize("sigma", [0.1, 3.0])
+def test_odometry_that_covers_a_gap_leads_to_places_that_are_not_in_the_map(sigma):
+    """To a room that was never seen; odometry that does not know the path cannot tell."""
+    lines = np.concatenate((ROOM, room(4.2, 9.0, -1.8, 2.4)))
+    first, gap = straight(20), np.array([6.0, 0.0, 0.0])
+    there = straight(10, start=compose(first[-1], gap))
+    increments = odometry_of(np.vstack((first, there)))
+    increments[20] = Increment(7.0, gap, sigma**2 * np.eye(3), 5.0)
+    _, out, off = drive(np.vstack((first, there)), increments, scans_from([*first, *there], lines))
+    if sigma < 1.0:
+        assert (out.reasons < UNEXPLAINED).all()
+        assert np.abs(off[20:]).max() < 0.1
+    else:
         assert (out.reasons == ELSEWHERE).any()
 
 

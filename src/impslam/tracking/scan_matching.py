@@ -27,6 +27,7 @@ from impslam.tracking.due import is_due
 from impslam.tracking.frozen import notice_frozen, remains_frozen
 from impslam.tracking.fusion import MAX_COAST, RATE_SIGMA, SPEED_SIGMA, coast, fuse
 from impslam.tracking.hypotheses import (
+    MAX_SLIP,
     Prediction,
     align_from_predictions,
     chi2_of,
@@ -251,7 +252,7 @@ def _match(
     between(guess, state.pose, off)
     fit = MatchQuality(state.evidence.sums[0], share, off)
     poor = fits_poorly(state.faults, fit, usual)
-    if poor and _contradicts(beams, k, state):
+    if poor and _contradicts(beams, k, state, no_odometry):
         out.reasons[k], out.amounts[k] = add_misfit(state.faults, state.travelled[2]), share
         state.pose[:], state.averages[:] = guess, means
         return
@@ -297,13 +298,15 @@ def _move(
 
 
 @kernel
-def _contradicts(beams: BeamColumns, k: int, state: State) -> bool:
+def _contradicts(beams: BeamColumns, k: int, state: State, no_odometry: bool) -> bool:
     """Return whether sweep k, which fits poorly at the current pose, contradicts what was seen before.
 
-    After a gap in the data, and after a scan that did, every such sweep does: the robot may be anywhere.
+    After a gap that odometry does not cover, and after a scan that did, every such sweep does: the robot
+    may be anywhere.
     """
-    in_doubt = state.faults.poor[0] > 0.0
-    if in_doubt or is_gap(state.travelled[2], state.averages[3], WINDOW):
+    covered = not no_odometry and state.covariance[0, 0] + state.covariance[1, 1] < MAX_SLIP[0] ** 2
+    gap = is_gap(state.travelled[2], state.averages[3], WINDOW)
+    if state.faults.poor[0] > 0.0 or (gap and not covered):
         return True
     share = contradicted_share(
         beams.ranges[k], beams.valid[k], state.pose, older_map(state.submaps), state.lidar.ranges,

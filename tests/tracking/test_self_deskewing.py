@@ -1,18 +1,23 @@
 """Without odometry, sweeps are de-skewed by the tracked motion."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from tests.extractors.scans import cast, room
+from tests.tracking.sweeps import motions_of, sweeps_of
 
 import impslam
 from impslam.evaluation.trajectory import align, move
 from impslam.geometry.angles import wrap
+from impslam.noise import UNKNOWN
 from impslam.sensors.deskewing import deskew_sweeps
 from impslam.simulation.robot import Lidar, SimulatedRobot
 from impslam.simulation.simulate import simulate
 from impslam.simulation.world import load_world
 from impslam.sources.recording import McapWriter
-from impslam.tracking.self_deskewing import deskew, set_twist
-from impslam.types import LaserScan, TruePose
+from impslam.tracking.self_deskewing import deskew, set_twist, with_stamps
+from impslam.types import Increment, LaserScan, TruePose
 
 BEAMS, PERIOD = 360, 1.0 / 5.5
 AFTER = (np.arange(BEAMS) / BEAMS - 0.5) * PERIOD
@@ -45,6 +50,24 @@ def test_a_sweep_takes_no_longer_than_the_time_between_sweeps():
     np.testing.assert_allclose(twist, np.array([0.1, 0.0, 0.2]) / np.ptp(AFTER))
     set_twist(np.array([0.1, 0.0, 0.2]), 0.4, AFTER, twist)
     np.testing.assert_allclose(twist, np.array([0.25, 0.0, 0.5]))
+
+
+def test_the_pose_at_a_stamp_is_as_certain_as_the_velocity():
+    """It may change by 0.3 m/s and 0.6 rad/s from sweep to sweep; the first sweep has none."""
+    scan, lag = cast(room(-3.0, 4.0, -2.5, 3.2)).scan, 0.05
+    motions = motions_of(
+        [Increment(0.1 * k, np.zeros(3), UNKNOWN * np.eye(3), 0.1 * (k > 0)) for k in range(3)]
+    )
+    sweeps = sweeps_of([scan] * 3, motions.stamps)
+    late = sweeps.columns.with_stamps(motions.stamps + lag)
+    scans = replace(sweeps.scans, after=np.linspace(-lag, lag, len(scan.ranges)))
+    sweeps = replace(sweeps, columns=late, scans=scans, stamp_covariance=np.ones((3, 3, 3)))
+    found = with_stamps(motions, sweeps, np.full((3, 3), 0.02))
+    np.testing.assert_array_equal(found.stamp_covariance[0], 1.0)
+    expected = np.square(lag * np.array([0.3, 0.3, 0.6]))
+    for covariance in found.stamp_covariance[1:]:
+        np.testing.assert_allclose(covariance, np.diag(expected), atol=1e-12)
+    np.testing.assert_allclose(found.T_middle_stamp[1:], 0.01, atol=1e-12)
 
 
 def test_a_slow_lidar_alone_shows_turns_and_the_poses_at_its_stamps(tmp_path):

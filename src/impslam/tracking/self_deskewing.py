@@ -15,7 +15,11 @@ import numpy as np
 from impslam.columns import Motions, Sweeps
 from impslam.geometry.kernels import kernel
 from impslam.noise import UNKNOWN
+from impslam.tracking.fusion import RATE_SIGMA, SPEED_SIGMA
 from impslam.types import Array, Mask
+
+TWIST_CHANGE = np.diag(np.square([SPEED_SIGMA, SPEED_SIGMA, RATE_SIGMA]))
+"""(m/s)^2, (m/s)^2, (rad/s)^2: covariance of the change of velocity from sweep to sweep."""
 
 
 def writable(motions: Motions, sweeps: Sweeps) -> Sweeps:
@@ -32,7 +36,8 @@ def writable(motions: Motions, sweeps: Sweeps) -> Sweeps:
 def with_stamps(motions: Motions, sweeps: Sweeps, moved: Array) -> Sweeps:
     """Return sweeps with the motions from their middles to their stamps, where odometry tells none.
 
-    `moved` (m, 3) are the tracked motions from the middle of the previous sweep to that of each.
+    `moved` (m, 3) are the tracked motions from the middle of the previous sweep to that of each. Between a
+    middle and a stamp, the velocity may differ from it as much as from sweep to sweep.
     """
     scans, alone = sweeps.scans, unknown(motions.covariance)
     if scans is None or scans.after is None or not alone.any():
@@ -41,7 +46,11 @@ def with_stamps(motions: Motions, sweeps: Sweeps, moved: Array) -> Sweeps:
     after = sweeps.columns.stamps - sweeps.middles
     after[~alone | (np.abs(after) > span)] = 0.0  # beyond: the clock was set
     share = after / np.maximum(motions.duration, span)
-    return replace(sweeps, T_middle_stamp=sweeps.T_middle_stamp + share[:, None] * moved)
+    covariance = sweeps.stamp_covariance.copy()
+    known = (after != 0.0) & (motions.duration > 0.0)
+    covariance[known] = np.square(after[known])[:, None, None] * TWIST_CHANGE
+    T_middle_stamp = sweeps.T_middle_stamp + share[:, None] * moved
+    return replace(sweeps, T_middle_stamp=T_middle_stamp, stamp_covariance=covariance)
 
 
 def unknown(covariances: Array) -> Mask:

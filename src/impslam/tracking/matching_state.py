@@ -65,7 +65,8 @@ class State(NamedTuple):
     submaps, odometry : the last metres, and the learned bias and noise of odometry
     pose, matched : (3,) in the frame of the submaps: now, and at the newest match
     motion, covariance : (3,), (3, 3) by odometry since the newest match
-    travelled : (3,) m, rad and s of that motion
+    travelled : (4,) m, rad and s of that motion, and the time since that match by the stamps, s
+    stamp : (1,) s, middle of the newest sweep; NaN before the first
     velocity : (3,) motion between the last two matches
     prior : (2,) variances of the predicted pose: m^2 along each axis, rad^2
     frozen : whether odometry is frozen
@@ -87,6 +88,7 @@ class State(NamedTuple):
     motion: Array
     covariance: Array
     travelled: Array
+    stamp: Array
     velocity: Array
     prior: Array
     frozen: FrozenOdometry

@@ -183,6 +183,9 @@ def _predict(motions: Motions, k: int, state: State, d_pose: Array) -> bool:
     state.travelled[0] += math.hypot(d_pose[0], d_pose[1])
     state.travelled[1] += abs(d_pose[2])
     state.travelled[2] += motions.duration[k]
+    elapsed, state.stamp[0] = motions.stamps[k] - state.stamp[0], motions.stamps[k]
+    if elapsed > 0.0:  # not before the first sweep, nor where stamps run back
+        state.travelled[3] += elapsed
     if not no_odometry:
         position, heading = variances(state.odometry, state.travelled[0], state.travelled[1])
     state.prior[0], state.prior[1] = position, heading
@@ -360,8 +363,10 @@ def _find_pose(features: Features, state: State, settings: Settings, H: Array, W
 @kernel
 def _predictions(state: State, prior: Array) -> Prediction:
     """Return the predicted poses of a scan; `prior` (3,) is the information of that by odometry."""
-    pose, usual = state.pose.copy(), state.averages[0]
-    if is_gap(state.travelled[2], state.averages[3], WINDOW):
+    pose, usual, interval = state.pose.copy(), state.averages[0], state.averages[3]
+    # If odometry was silent while scans determined the position, its whole motion comes at once.
+    seen = not is_gap(state.travelled[3], interval, WINDOW) and state.faults.unlocated[0] == 0.0
+    if is_gap(state.travelled[2], interval, WINDOW) and not seen:
         return Prediction(pose, prior, pose, pose, usual)
     extrapolated = state.matched.copy()
     advance_pose(extrapolated, state.velocity)

@@ -137,6 +137,15 @@ def test_people_who_walk_past_are_left_out():
     assert not shares(drive(40), walker).any()
 
 
+@pytest.mark.parametrize("turn", [2.0, 2.45])
+def test_a_person_who_turns_back_is_left_out(turn):
+    """A second later he is where he was."""
+    times = np.arange(40) / RATE
+    along = 1.5 * np.abs(times - turn) - 0.75
+    poses = np.tile([-1.0, 0.0, 0.0], (40, 1))
+    assert not shares(poses, [person(-0.4, y) for y in along]).any()
+
+
 def test_a_person_who_enters_and_leaves_within_a_second_is_left_out():
     poses = np.zeros((40, 3))
     assert not shares(poses, [[]] * 20 + [person(1.0, 0.2)] * 5 + [[]] * 15).any()

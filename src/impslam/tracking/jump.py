@@ -1,9 +1,10 @@
 """Detect a robot that was carried: from one scan to the next, static objects vanish or appear.
 
-A point is static if scans a second apart agree on it. If the robot was moved while odometry stood still,
-the next scan passes through static points of the scan before, or its own points that prove static later lie
-in the free space of the scan before. People who walk past are left out, because they are not static. On
-rough ground, a lidar that pitches misses objects in a single scan, so a second scan has to confirm it.
+A point is static if scans a second apart, and one halfway between them, agree on it. If the robot was moved
+while odometry stood still, the next scan passes through static points of the scan before, or its own points
+that prove static later lie in the free space of the scan before. People who walk past are left out, because
+they are not static. On rough ground, a lidar that pitches misses objects in a single scan, so a second scan
+has to confirm it.
 """
 
 from __future__ import annotations
@@ -28,7 +29,8 @@ from impslam.tracking.reference_scan import (
 from impslam.types import Array, Ints, Mask
 
 STATIC_TIME = 1.0
-"""s between two scans that show a static point: a person who walks moves by a metre."""
+"""s between two scans that show a static point: a person who walks moves by a metre. One who turns back is
+at the same place again, but was not halfway."""
 RANGE_TOLERANCE = 0.1
 """m by which their ranges may differ: noise, and the error of odometry within that time."""
 MAX_INTERVAL = 0.5
@@ -181,15 +183,18 @@ def _changed(
 ) -> tuple[float, float]:
     """Return share and extent of the points of a scan that are static but not in the one beside it in time.
 
-    Static are points that the scan `still` shows as well. Both are 0 if the share is too small.
+    Static are points that the scan `still` and one halfway to it show as well. Both are 0 if the share is
+    too small.
     """
     if min(still, beside) < past.first[0]:
         return 0.0, 0.0
+    halfway = _halfway(still, scan, past)
     still, scan, beside = still % MAX_SCANS, scan % MAX_SCANS, beside % MAX_SCANS
     if abs(past.times[scan] - past.times[beside]) > MAX_INTERVAL:
         return 0.0, 0.0
     ranges, opposite, free = past.ranges[scan], past.ranges[beside], past.free[beside]
     to_still = laser_motion(past.poses[still], past.poses[scan], geometry)
+    to_halfway = laser_motion(past.poses[halfway], past.poses[scan], geometry)
     to_beside = laser_motion(past.poses[beside], past.poses[scan], geometry)
     view = _view(to_beside, geometry)
     changed = count = 0
@@ -201,14 +206,17 @@ def _changed(
         if _is_not_free(i, ranges[i], opposite, view):  # nearly always, and much faster
             continue
         k, reach = seen_from(i, ranges[i], to_beside, len(ranges), geometry)
-        if k >= 0 and reach < free[k] - CLEARANCE:
-            k, reach = seen_from(i, ranges[i], to_still, len(ranges), geometry)
-            if k >= 0 and _measured(past.ranges[still], k, reach):
-                changed += 1
-                angle = geometry.first + i * geometry.spacing
-                x, y = ranges[i] * math.cos(angle), ranges[i] * math.sin(angle)
-                low[0], low[1] = min(low[0], x), min(low[1], y)
-                high[0], high[1] = max(high[0], x), max(high[1], y)
+        if (
+            k >= 0
+            and reach < free[k] - CLEARANCE
+            and _shows(still, i, ranges[i], to_still, past, geometry)
+            and _shows(halfway, i, ranges[i], to_halfway, past, geometry)
+        ):
+            changed += 1
+            angle = geometry.first + i * geometry.spacing
+            x, y = ranges[i] * math.cos(angle), ranges[i] * math.sin(angle)
+            low[0], low[1] = min(low[0], x), min(low[1], y)
+            high[0], high[1] = max(high[0], x), max(high[1], y)
     share = changed / max(count, 1)
     if changed < MIN_BEAMS or share <= MIN_SHARE:
         return 0.0, 0.0
@@ -246,9 +254,27 @@ def _is_not_free(i: int, reach: float, other: Array, view: tuple[float, int, int
 
 
 @kernel
-def _measured(ranges: Array, k: int, reach: float) -> bool:
-    """Return whether beam k or one beside it has about this range."""
-    for i in range(max(k - 1, 0), min(k + 2, len(ranges))):
-        if abs(ranges[i] - reach) < RANGE_TOLERANCE:
+def _halfway(one: int, other: int, past: PastScans) -> int:
+    """Return the row of the scan in the middle of the time between two scans."""
+    first, last = min(one, other), max(one, other)
+    middle = 0.5 * (past.times[first % MAX_SCANS] + past.times[last % MAX_SCANS])
+    k = first
+    while k < last and past.times[k % MAX_SCANS] < middle:
+        k += 1
+    return k % MAX_SCANS
+
+
+@kernel
+def _shows(
+    row: int, i: int, reach: float, T_row_laser: Array, past: PastScans, geometry: Geometry
+) -> bool:
+    """Return whether the scan in a row shows the end of beam i of another one, at its range in m.
+
+    `T_row_laser` (3,) is the pose of the other scan's laser in that of this one.
+    """
+    ranges = past.ranges[row]
+    beam, there = seen_from(i, reach, T_row_laser, len(ranges), geometry)
+    for k in range(max(beam - 1, 0), min(beam + 2, len(ranges))):
+        if beam >= 0 and abs(ranges[k] - there) < RANGE_TOLERANCE:
             return True
     return False

@@ -273,11 +273,6 @@ class SystematicPart(NamedTuple):
     learned: Mask
 
 
-ACCELERATION = (0.5, 1.0)
-"""m/s^2, rad/s^2: standard deviation of a robot's acceleration between two readings of odometry. Small
-robots drive off with 0.3 to 1 m/s^2, and begin turns with twice that in rad/s^2."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Increment:
     """Motion of base_link since the previous increment, relative to its pose at the start.
@@ -319,12 +314,7 @@ class Increment:
         return compose_uncertain(pose, covariance, self.d_pose, self.covariance)
 
     def split(self, fraction: float) -> tuple[Increment, Increment]:
-        """Split at a fraction in [0, 1] of the duration, at constant twist; `then` rejoins the parts.
-
-        Both parts also have the variance of the unknown speed in between: a robot that accelerates by a is
-        0.5 a t1 t2 off after the time t1, if it takes t2 to the known end. It does not drive back and
-        forth, so this is at most the whole motion.
-        """
+        """Split at a fraction in [0, 1] of the duration, at constant twist; `then` rejoins the parts."""
         twist = log(self.d_pose)
         cut = fraction * self.duration
         head = exp(fraction * twist)
@@ -337,13 +327,9 @@ class Increment:
         tail_cov = np.linalg.solve(
             second, np.linalg.solve(second, (1.0 - fraction) * self.covariance).T
         )
-        rest = self.duration - cut
-        shifts = 0.5 * cut * rest * np.array(ACCELERATION)
-        shift, turn = np.minimum(shifts, [math.hypot(twist[0], twist[1]), abs(twist[2])])
-        unknown = np.diag([shift**2, shift**2, turn**2])
         return (
-            Increment(middle, head, head_cov + unknown, cut),
-            Increment(self.stamp, tail, tail_cov + unknown, rest),
+            Increment(middle, head, head_cov, cut),
+            Increment(self.stamp, tail, tail_cov, self.duration - cut),
         )
 
 

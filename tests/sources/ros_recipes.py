@@ -58,7 +58,6 @@ BAGS = {
         ),
         "scan /front/scan (mount [0.150 m",
     ),
-    "odometry once a second": (Recipe(odometry_rate=1), "odometry /tf"),
     "lidar alone": (Recipe(tf_odometry=None), "no odometry: mapped by the lidar alone"),
     "several echoes": (Recipe(lasers=[Laser(echoes=True)]), "scan /scan"),
     "compressed": (

@@ -570,18 +570,6 @@ def test_a_robot_that_stands_is_not_matched_again():
     assert all(a <= b for a, b in pairwise(np.trace(out.covariance, axis1=1, axis2=2)[1:]))
 
 
-def test_a_scan_is_matched_if_odometry_hardly_knows_how_far_the_robot_moved():
-    """As between two readings in a second: the robot may have moved on by centimetres."""
-    poses, error = np.zeros((2, 3)), np.zeros((2, 3))
-    poses[1, 0], error[1, 0] = 0.02, 0.02
-    sure, unsure = odometry_of(poses, error), odometry_of(poses, error)
-    unsure[1] = replace(unsure[1], covariance=np.diag([0.02**2, 0.02**2, 0.0]))
-    for increments, is_matched in ((sure, False), (unsure, True)):
-        out = steps(ScanToMap(), increments, scans_from(poses))
-        assert out.reference[1] == is_matched
-        assert (abs(out.moved[1, 0] - 0.02) < 0.005) == is_matched
-
-
 # --------------------------------------------------------------------------- no odometry
 
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.kernels import kernel
-from impslam.types import ACCELERATION, Array, Ints
+from impslam.types import Array, Ints
 
 # Columns of a motion: the stamp at its end, duration, pose (3), covariance xx, xy, xt, yy, yt, tt.
 WIDTH = 11
@@ -103,7 +103,7 @@ def _split(whole: Array, fraction: float, head: Array, tail: Array) -> None:
     """Split a motion at a fraction of its duration, at constant twist; see `Increment.split`.
 
     Each part has its share of the covariance, pulled back through the composition of the two, so
-    that `compose` restores it, and the variance of the unknown speed. `tail` may be `whole` itself.
+    that `compose` restores it. `tail` may be `whole` itself.
     """
     twist, P = np.empty(3), whole[COVARIANCE:].copy()
     _log(whole[POSE:COVARIANCE], twist)
@@ -117,12 +117,6 @@ def _split(whole: Array, fraction: float, head: Array, tail: Array) -> None:
     _carry_covariance(head[COVARIANCE:], s * tail[3] - c * tail[2], -s * tail[2] - c * tail[3])
     tail[COVARIANCE:] = 0.0
     _add_turned(tail[COVARIANCE:], P, c, -s, 1.0 - fraction)
-    shift = min(0.5 * ACCELERATION[0] * cut * rest, math.hypot(twist[0], twist[1]))
-    turn = min(0.5 * ACCELERATION[1] * cut * rest, abs(twist[2]))
-    for part in (head, tail):
-        part[5] += shift * shift
-        part[8] += shift * shift
-        part[10] += turn * turn
 
 
 @kernel

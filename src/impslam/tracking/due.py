@@ -1,7 +1,6 @@
 """Which sweeps are matched.
 
-A sweep is matched if odometry has moved since the last match, if odometry is as uncertain as after such a
-motion (between its readings the speed is unknown), or if the ranges of the sweep have changed: odometry may
+A sweep is matched if odometry has moved since the last match, or if its ranges have changed: odometry may
 be frozen while the robot moves.
 """
 
@@ -12,7 +11,6 @@ import math
 import numpy as np
 
 from impslam.geometry.kernels import kernel
-from impslam.noise import MotionNoise
 from impslam.tracking.fusion import MIN_MOTION
 from impslam.tracking.matching_state import State
 from impslam.types import Array, Mask
@@ -20,9 +18,6 @@ from impslam.types import Array, Mask
 MIN_RANGE_CHANGE, MIN_CHANGED_SHARE = (0.03, 0.005), 0.1
 """m, and share of the range: a range changed if it differs by more than this (3 sigma of the noise); and
 the share of ranges that must change, since people change some."""
-_UNCERTAIN = np.diag(MotionNoise().covariance(*MIN_MOTION))
-MIN_VARIANCE = float(_UNCERTAIN[0]), float(_UNCERTAIN[2])
-"""m^2, rad^2: the variance of odometry after `MIN_MOTION`."""
 
 
 @kernel
@@ -31,9 +26,6 @@ def is_due(ranges: Array, valid: Mask, state: State) -> bool:
     lidar = state.lidar
     far = math.hypot(state.motion[0], state.motion[1]) >= MIN_MOTION[0]
     if np.isnan(lidar.added[0]) or far or abs(state.motion[2]) >= MIN_MOTION[1]:
-        return True
-    P, moved = state.covariance, state.travelled[0] > 0.0 or state.travelled[1] > 0.0
-    if moved and (max(P[0, 0], P[1, 1]) > MIN_VARIANCE[0] or P[2, 2] > MIN_VARIANCE[1]):
         return True
     both = changed = 0
     for i in range(len(ranges)):

@@ -37,7 +37,7 @@ SLIP_PROBABILITY = 1e-3
 MAX_SLIP = (0.5, 0.5)
 """m, rad: largest slip. A scan that only fits farther from all predictions shows another place."""
 SLIP_SIGMAS = 3.0
-"""Standard deviations of odometry's own error that are added to it."""
+"""Standard deviations of odometry; a larger difference from it is a slip."""
 SEARCH_HEADINGS, SEARCH_TURN, SEARCH_OFFSET = 9, 0.06, 0.25
 """Number of headings, rad between them, and m of the offsets to try around each prediction."""
 SEARCH_PRIOR_WEIGHT = 0.1

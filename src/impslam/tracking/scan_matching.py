@@ -28,6 +28,7 @@ from impslam.tracking.frozen import notice_frozen, remains_frozen
 from impslam.tracking.fusion import MAX_COAST, RATE_SIGMA, SPEED_SIGMA, coast, fuse
 from impslam.tracking.hypotheses import (
     MAX_SLIP,
+    SLIP_SIGMAS,
     Prediction,
     align_from_predictions,
     chi2_of,
@@ -57,8 +58,6 @@ MIN_POINTS = 10
 """Points; a scan with fewer is not matched."""
 MIN_SLIP = (0.1, 0.025)
 """m, rad: a smaller difference from odometry is no slip, however certain odometry is."""
-SLIP_SIGMAS = 3.0
-"""Standard deviations of odometry; a smaller difference is no slip."""
 SEARCH_BELOW = 0.7
 """Share of the mean inlier share below which the pose is searched for."""
 MAX_LOCATED_SIGMA = 0.02
@@ -307,7 +306,8 @@ def _contradicts(beams: BeamColumns, k: int, state: State, no_odometry: bool) ->
     After a gap that odometry does not cover, and after a scan that did, every such sweep does: the robot
     may be anywhere.
     """
-    covered = not no_odometry and state.covariance[0, 0] + state.covariance[1, 1] < MAX_SLIP[0] ** 2
+    variance = SLIP_SIGMAS**2 * (state.covariance[0, 0] + state.covariance[1, 1])
+    covered = not no_odometry and variance < MAX_SLIP[0] ** 2
     gap = is_gap(state.travelled[2], state.averages[3], WINDOW)
     if state.faults.poor[0] > 0.0 or (gap and not covered):
         return True

@@ -90,16 +90,6 @@ def test_a_point_with_fewer_than_two_neighbours_is_on_no_surface(lone):
     assert (features(wall_ahead(gaps), 0.0)[:, 4] == 0.0).all()
 
 
-def test_missing_beams_make_no_lone_points(rng):
-    """Lone points hold the robot in place along a corridor, since those of each scan are others."""
-    whole = cast(ROOM, noise=0.01, rng=rng).scan
-    scan = with_ranges(whole, np.where(rng.random(len(whole.ranges)) < 0.3, np.nan, whole.ranges))
-    rows, complete = features(scan, 0.0), features(whole, 0.0)
-    assert len(rows) < 0.8 * len(complete)
-    lone = [np.mean((of[:, 2] == 0.0) & (of[:, 3] == 0.0)) for of in (complete, rows)]
-    assert lone[1] < lone[0] + 0.01
-
-
 def test_a_post_before_a_wall_takes_no_neighbours_from_it():
     scan = cast(np.array([[[3.0, -2.0], [3.0, 2.0]]]), np.array([[1.5, 0.0, 0.005]])).scan
     rows = features(scan, 0.0)

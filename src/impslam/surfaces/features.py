@@ -14,8 +14,8 @@ from impslam.types import Array, Ints, Mask, Scan, check_shape
 Features: TypeAlias = np.ndarray[Any, np.dtype[np.float32]]
 """(n, 5) x, y in m; the unit normal on the lidar's side; and the weight of that normal.
 
-The weight is 1 on a surface, 0.5 at its end, where a beam beside it is not on it, and 0 without a surface:
-the normal is then 0, or that of a wall that is seen obliquely. Rows are in beam order.
+The weight is 1 on a surface, 0.5 at its end, with neighbours on one side only, and 0 without a surface: the
+normal is then 0, or that of a wall that is seen obliquely. Rows are in beam order.
 
 A single point counts as on such a wall if the next two beams on one side end nearer, and the line through
 all three points is oblique and straight. Beams beside a table leg go past it.
@@ -85,7 +85,7 @@ def find_features(
         max(MIN_GAP, NOISE_GAP * noise),
         max(ROUGHNESS, NOISE_ROUGHNESS * noise * noise),
     )
-    neighbours = _neighbours(points, valid, ranges, limits)
+    connected = _connected(points, valid, ranges, limits)
     for i in range(len(points)):
         if not valid[i]:
             continue
@@ -94,7 +94,7 @@ def find_features(
             continue
         last = i
         out[count, 0], out[count, 1] = x, y
-        nx, ny, weight = _normal(points, valid, neighbours, ranges, origins, limits, i)
+        nx, ny, weight = _normal(points, valid, connected, ranges, origins, limits, i)
         out[count, 2], out[count, 3], out[count, 4] = nx, ny, weight
         count += 1
     return count
@@ -154,7 +154,7 @@ def _noise(points: Array, valid: Mask, ranges: Array, origins: Array, spacing: f
 def _normal(
     points: Array,
     valid: Mask,
-    neighbours: Ints,
+    connected: Mask,
     ranges: Array,
     origins: Array,
     limits: tuple[float, float, float],
@@ -165,7 +165,7 @@ def _normal(
     `limits` are the angle between beams, the minimum gap between surfaces in m, and the roughness in m^2.
     """
     spacing, _, roughness = limits
-    n, at_end, xx, xy, yy = _scatter(points, neighbours, i)
+    n, at_end, xx, xy, yy = _scatter(points, connected, i)
     if n < 3.0:
         return _single(points, valid, ranges, origins, spacing, i)
     x, y = points[i, 0], points[i, 1]
@@ -187,48 +187,42 @@ def _normal(
 
 
 @kernel
-def _neighbours(
+def _connected(
     points: Array, valid: Mask, ranges: Array, limits: tuple[float, float, float]
-) -> Ints:
-    """Return (n, 2) the beams before and after each beam that end on the same surface, or -1.
-
-    Beams without a range are passed over. See `_normal` for `limits`.
-    """
+) -> Mask:
+    """Return (n,) whether each point and that of the next beam are on one surface; see `_normal`."""
     spacing, min_gap, _ = limits
-    out = np.full((len(points), 2), -1)
-    last = -1
-    for i in range(len(points)):
-        if not valid[i]:
-            continue
-        if last >= 0:
-            gap = min(max(min_gap, GAP_BEAMS * min(ranges[last], ranges[i]) * spacing), MAX_GAP)
-            dx, dy = points[i, 0] - points[last, 0], points[i, 1] - points[last, 1]
-            if dx * dx + dy * dy <= gap * gap:
-                out[last, 1], out[i, 0] = i, last
-        last = i
+    out = np.zeros(len(points), np.bool_)
+    for i in range(len(points) - 1):
+        j = i + 1
+        gap = min(max(min_gap, GAP_BEAMS * min(ranges[i], ranges[j]) * spacing), MAX_GAP)
+        dx, dy = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1]
+        out[i] = valid[i] and valid[j] and dx * dx + dy * dy <= gap * gap
     return out
 
 
 @kernel
-def _scatter(points: Array, neighbours: Ints, i: int) -> tuple[float, int, float, float, float]:
+def _scatter(points: Array, connected: Mask, i: int) -> tuple[float, int, float, float, float]:
     """Return the scatter of point i and its neighbours on the same surface.
 
-    The values are the number of points, that of sides without the next beam on the surface, and the
-    variances xx, xy, yy. `neighbours` (n, 2) are those of `_neighbours`.
+    The values are the number of points, that of sides without a neighbour, and the variances xx, xy, yy.
+    `connected` (n,) is whether a point and the next one are on one surface.
     """
     x, y = points[i, 0], points[i, 1]
     n, at_end = 1.0, 0
     sx = sy = xx = xy = yy = 0.0
-    for side in range(2):
-        j = neighbours[i, side]
-        at_end += abs(j - i) != 1 or j < 0
-        while j >= 0 and abs(j - i) <= MAX_NEIGHBOURS:
+    for step in (-1, 1):
+        first = min(i, i + step)  # of the pair of neighbours
+        for k in range(MAX_NEIGHBOURS):
+            pair, j = first + step * k, i + step * (k + 1)
+            if pair < 0 or not connected[pair]:
+                break
             dx, dy = points[j, 0] - x, points[j, 1] - y
-            if abs(j - i) > 1 and dx * dx + dy * dy > NORMAL_RADIUS * NORMAL_RADIUS:
+            if k > 0 and dx * dx + dy * dy > NORMAL_RADIUS * NORMAL_RADIUS:
                 break
             n, sx, sy = n + 1.0, sx + dx, sy + dy
             xx, xy, yy = xx + dx * dx, xy + dx * dy, yy + dy * dy
-            j = neighbours[j, side]
+        at_end += first < 0 or not connected[first]
     return n, at_end, xx / n - (sx / n) ** 2, xy / n - sx * sy / n**2, yy / n - (sy / n) ** 2
 
 

@@ -250,22 +250,6 @@ def test_path_lengths_are_the_shortest(rng):
         np.testing.assert_allclose(graph.path_lengths(node), apart[node])
 
 
-def test_the_variance_of_motions_is_that_of_the_most_certain_way():
-    """Along whichever axis it is largest; closures locate a node, unless they have no position."""
-    graph, turn = PoseGraph(), np.array([[0.6, -0.8], [0.8, 0.6]])
-    graph.add_root(np.zeros(3), 1e-8 * np.eye(3))
-    for k, sigma in enumerate([0.1, 0.2, 3.0, 0.1]):
-        P = 1e-6 * np.eye(3)
-        P[:2, :2] = turn @ np.diag([0.01, sigma][:: 1 - 2 * (k % 2)]) ** 2 @ turn.T
-        graph.extend(np.array([2.5, 0.0, 0.3]), P, 2.5)
-    chain = [0.0, 0.01, 0.05, 9.05, 9.06]
-    np.testing.assert_allclose(graph.motion_variances(0), chain, rtol=1e-6)
-    graph.close(1, 3, np.zeros(3), np.diag([1e-2, 1e4, 1e4]), math.inf)
-    np.testing.assert_allclose(graph.motion_variances(0), chain, rtol=1e-6)
-    graph.close(0, 3, np.zeros(3), FIRM)
-    np.testing.assert_allclose(graph.motion_variances(0), [0, 0.01, 0.05, 0, 0.01], atol=1e-8)
-
-
 def test_a_copy_does_not_change_while_the_graph_grows():
     graph = PoseGraph()
     graph.add_root(np.zeros(3), 1e-4 * np.eye(3))

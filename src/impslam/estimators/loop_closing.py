@@ -31,7 +31,6 @@ REFERENCE_DISTANCE, REFERENCE_RADIUS = 8.0, 7.0  # m along the graph, and straig
 MAX_REFERENCES = 24  # keyframes; more are redundant
 MIN_REFERENCES = 4
 PASS_DISTANCE = 6.0  # m: keyframes closer than this along the drive are of the same pass
-SIGMAS = 4.0  # of the possible drift, in a window
 SAFE_WINDOW = 0.8  # m: so small a window contains only one place
 MIN_EVIDENCE = 2.5
 """Evidence of closures that agree: a strong and another one, three weak ones, or two that together have
@@ -145,7 +144,7 @@ class LoopCloser:
         What is driven after the node belongs to the query, so the newest node waits for the next one.
         """
         paths = graph.path_lengths(node)
-        windows = self._radius(paths, graph.motion_variances(node))
+        windows = np.minimum(self._search.least + self._search.drift * paths, self._search.most)
         offsets = np.hypot(*(graph.poses[:, :2] - graph.poses[node, :2]).T)
         possible = (paths > self._search.way_back) & (offsets < windows + 2.0) & np.isfinite(paths)
         possible[node:] = False
@@ -161,7 +160,7 @@ class LoopCloser:
             reference = self._reference(u, node, keys, graph)
             if reference is not None:
                 guess = between(graph.poses[u], graph.poses[node])
-                window = self.window(float(paths[u]))._replace(x=windows[u], y=windows[u])
+                window = self.window(float(paths[u]))
                 closure = self.recogniser.close(reference, query, guess, window)
                 is_known = window.x <= MAX_KNOWN_WINDOW and offsets[u] < 0.5 * REFERENCE_RADIUS
                 contradicts = is_known and self._contradicts(query, guess, closure)
@@ -237,17 +236,9 @@ class LoopCloser:
 
     def window(self, distance: float) -> Window:
         """Return the window of the possible drift over a distance in m."""
-        s, radius = self._search, float(self._radius(distance))
-        return Window(radius, radius, min(s.least_turn + s.turn_drift * distance, s.most_turn))
-
-    def _radius(self, distance: Array | float, variance: Array | float = 0.0) -> Array:
-        """Return the possible drift over distances in m, four sigma, of motions with variances in m^2.
-
-        The drift is that of tracked motions. Along a bare corridor, these are far less certain.
-        """
         s = self._search
-        drift = np.hypot(s.drift * np.asarray(distance), SIGMAS * np.sqrt(variance))
-        return np.minimum(s.least + drift, s.most)
+        radius = min(s.least + s.drift * distance, s.most)
+        return Window(radius, radius, min(s.least_turn + s.turn_drift * distance, s.most_turn))
 
     def _accept(self, new: PendingClosure, graph: PoseGraph, window: float) -> bool:
         """Add a closure and those that agree with it to the graph, or keep it pending."""

@@ -260,17 +260,6 @@ class PoseGraph:
         i, j, *_, length = (column.array for column in self._edges)
         return _shortest_paths(len(self), i, j, length, int(self.hosts[node]))[self.hosts]
 
-    def motion_variances(self, node: int) -> Array:
-        """Return the variance (n,) m^2 of the motions from a node to each, in the direction of the largest.
-
-        It is that of the most certain path. Closures on it do not count, except those without a position.
-        """
-        i, j, _, information, kernel2, length = (column.array for column in self._edges)
-        (xx, xy, _), (_, yy, _), _ = np.moveaxis(np.linalg.inv(information), 0, -1)
-        largest = 0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy)
-        variances = np.where(np.isinf(kernel2) | np.isinf(length), largest, 0.0)
-        return _shortest_paths(len(self), i, j, variances, int(self.hosts[node]))[self.hosts]
-
 
 def _columns() -> tuple[GrowingArray, ...]:
     """Return columns for the edges: i, j, T_i_j, information, kernel, length."""

@@ -87,7 +87,7 @@ def _least_squares(A: Array, y: Array, weights: Array) -> Array:
             for b in range(n):
                 N[a, b] += weights[i] * A[i, a] * A[i, b]
     for a in range(n):
-        N[a, a] += RIDGE * N[a, a] + 1e-300
+        N[a, a] += RIDGE * N[a, a] + 1e-300  # not 0 where a column is
     for a in range(n):  # elimination; the matrix is positive definite
         for b in range(a + 1, n):
             factor = N[b, a] / N[a, a]

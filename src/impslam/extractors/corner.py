@@ -16,9 +16,9 @@ from impslam.geometry.kernels import kernel
 from impslam.types import Array, Ints, Observation, Scan
 
 _NOISE = 3.0  # standard deviations
-_COLUMNS = (
-    11  # both pieces; x, y; covariance xx, xy, yy; error by the ranges' bias (2); angle, heading
-)
+# Columns of a corner: both pieces; x, y; covariance xx, xy, yy; error by the bias of the ranges (2);
+# angle, heading.
+_COLUMNS = 11
 
 
 @register("corner")

@@ -106,14 +106,14 @@ class GyroFusion:
         considered : errors of the wheels that the covariances of motions do not contain; those of the
             gyro are then left out, too. None: all are contained as random errors
         """
-        self._gyro, self._lever, self._band = gyro, lever, band or math.inf
+        self._gyro = gyro
         self._state = np.zeros(STATE_SIZE)
         self._state[[STAMP, RATE, LAST_HEADING, STATIONARY_HEADING]] = np.nan
         self._state[BIAS_VARIANCE] = gyro.bias**2
         self._state[CHI2_UNRELATED] = 2.0 * MIN_EVIDENCE if gyro.proven else 0.0
         wheels = considered or SystematicErrors(0.0, 0.0)
         self._noise = np.array([
-            gyro.noise**2, gyro.bias_walk**2, gyro.scale**2, lever**2, self._band,
+            gyro.noise**2, gyro.bias_walk**2, gyro.scale**2, lever**2, band or math.inf,
             wheels.turn_per_distance**2, wheels.turn**2, considered is None,
         ])  # fmt: skip
 

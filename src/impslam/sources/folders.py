@@ -16,11 +16,17 @@ _DATE = re.compile(r"\d{4}(-\d\d){5}")
 """The time at which a piece begins, in its name by `rosbag record --split`."""
 
 
+def piece(path: Path) -> tuple[str, int] | None:
+    """Return name and number of the piece NAME_N of a split log; None for any other name."""
+    found = re.fullmatch(r"(.*)_(\d+)", _DATE.sub("", path.stem))
+    return (found[1], int(found[2])) if found else None
+
+
 def numbered_pieces(files: Collection[Path]) -> list[Path]:
     """Return the pieces NAME_0, NAME_1, ... of one log in order; none if some have other names."""
-    found = {path: re.fullmatch(r"(.*)_(\d+)", _DATE.sub("", path.stem)) for path in files}
-    numbers = {path: int(name[2]) for path, name in found.items() if name}
-    names = {name[1] for name in found.values() if name}
+    found = {path: name for path in files if (name := piece(path))}
+    numbers = {path: number for path, (_, number) in found.items()}
+    names = {name for name, _ in found.values()}
     if len(numbers) < len(files) or len(names) > 1 or len(set(numbers.values())) < len(files):
         return []
     return sorted(numbers, key=lambda path: numbers[path])

@@ -5,7 +5,6 @@ The names of frames follow REP 105: odometry is the pose of base_footprint or ba
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -16,6 +15,7 @@ from rosbags.interfaces import Connection
 
 from impslam.errors import MessageError
 from impslam.sources.base import Mount, Problems
+from impslam.sources.folders import piece
 from impslam.sources.mount_watch import MountWatch
 from impslam.sources.ros_messages import read_transform
 from impslam.sources.ros_storage import Bag, RosMessage
@@ -28,7 +28,6 @@ STATIC = "tf_static"
 BASES = ("base_footprint", "base_link", "base")
 WORLDS = ("map", "world", "earth")
 MAX_MOUNT_DISTANCE = 100.0  # m from base to a laser, more than on any robot
-LATER_PIECE = re.compile(r"_[1-9]\d*$")
 FIRST_PIECE = " (of a split bag, the first piece has it: give the folder with all pieces)"
 LOOK_AHEAD = 30 * 10**9
 """Time after the first scan, ns, in which each transform of a robot is published many times."""
@@ -269,8 +268,9 @@ class Frames:
         if not frame:
             return "its messages have no frame"
         if not links:
-            is_piece = self._path.is_file() and LATER_PIECE.search(self._path.stem)
-            return f"there is no transform to {frame}{self._end}{FIRST_PIECE if is_piece else ''}"
+            own = piece(self._path) if self._path.is_file() else None
+            hint = FIRST_PIECE if own is not None and own[1] > 0 else ""
+            return f"there is no transform to {frame}{self._end}{hint}"
         base = bases[0] if bases else "base_link"
         return f"{frame} leads up to {top}, not to {base}{self._end}"
 

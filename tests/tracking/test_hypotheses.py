@@ -141,6 +141,17 @@ def test_after_a_gap_a_scan_that_fits_only_where_the_robot_was_is_not_matched(se
         assert (out.reasons == ELSEWHERE).any()
 
 
+def test_time_in_which_the_robot_stands_is_no_gap():
+    """Its scans are not matched; then odometry reports 3 m, but the robot still stands."""
+    poses = np.vstack((straight(20), np.tile(straight(20)[-1], (80, 1))))
+    error = np.zeros((100, 3))
+    error[70] = 3.0, 0.0, 0.0
+    _, out, off = drive(poses, odometry_of(poses, error), scans_from(poses))
+    assert not out.reference[21:70].any()
+    assert (out.reasons < UNEXPLAINED).all()
+    assert np.abs(off[70:]).max() < 0.01
+
+
 @pytest.mark.parametrize("sigma", [0.1, 0.2, 3.0])
 def test_odometry_that_covers_a_gap_leads_to_places_that_are_not_in_the_map(sigma):
     """To a room that was never seen; odometry that does not know the path cannot tell."""

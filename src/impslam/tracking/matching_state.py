@@ -65,14 +65,16 @@ class State(NamedTuple):
     submaps, odometry : the last metres, and the learned bias and noise of odometry
     pose, matched : (3,) in the frame of the submaps: now, and at the newest match
     motion, covariance : (3,), (3, 3) by odometry since the newest match
-    travelled : (4,) m, rad and s of that motion, and the time since that match by the stamps, s
+    travelled : (3,) m, rad and s of that motion
     stamp : (1,) s, middle of the newest sweep; NaN before the first
+    interval : (2,) s from the sweep before it, by odometry and by the stamps; NaN before the second
+    intervals : (3,) statistics of those by odometry; see `no_intervals`
     velocity : (3,) motion between the last two matches
     prior : (2,) variances of the predicted pose: m^2 along each axis, rad^2
     frozen : whether odometry is frozen
     unlocated : (1,) s since a scan last determined the velocity of a robot without odometry
-    averages : (4,) running means of the inlier share, of the squared distance, m^2, of the time
-        between scans, s, and of that between matches, s
+    averages : (3,) running means of the inlier share, of the squared distance, m^2, and of the time
+        between sweeps without odometry, s
     evidence : of the newest match
     faults : whether the newest scans fit the submaps
     time : (1,) s since the first scan
@@ -89,6 +91,8 @@ class State(NamedTuple):
     covariance: Array
     travelled: Array
     stamp: Array
+    interval: Array
+    intervals: Array
     velocity: Array
     prior: Array
     frozen: FrozenOdometry

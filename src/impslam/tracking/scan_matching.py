@@ -35,7 +35,7 @@ from impslam.tracking.hypotheses import (
     is_expected,
     search,
 )
-from impslam.tracking.intervals import is_gap, updated_interval
+from impslam.tracking.intervals import add_interval, is_gap
 from impslam.tracking.learned_odometry import correct, learn, variances
 from impslam.tracking.match_faults import (
     MIN_FIT,
@@ -71,8 +71,8 @@ USUAL_SHARE = 0.8
 USUAL_RMS = 0.02
 """m, root mean square distance from the surfaces indoors; above, information falls with its square."""
 MEMORY = 0.3, 0.2, 0.01
-"""Weights of the newest scan in the running means of inlier share, of squared distance, and of the
-time between scans."""
+"""Weights of the newest scan in the running means of inlier share, of squared distance, and of the time
+between sweeps without odometry."""
 
 
 @kernel
@@ -101,6 +101,7 @@ def follow(
         at_limit = reaches_limit(gate, out.moved[k], motions.duration[k])
         at_limit |= notice_carried(beams, k, state, motions.duration[k], out)
         add_travel(gate, out.moved[k], motions.duration[k])
+        add_interval(motions.duration[k], state.intervals, WINDOW)
         out.is_keyframe[k] = out.reference[k] and (at_limit or out.reasons[k] == ELSEWHERE)
         if out.is_keyframe[k]:
             gate.travelled[:] = 0.0
@@ -131,7 +132,6 @@ def _use_scan(
         if out.reasons[k] != UNEXPLAINED:
             _add_to_submaps(features[:count], k, beams, state, settings, moved_on)
     out.reference[k] = True
-    state.averages[3] = updated_interval(state.averages[3], state.travelled[2])
     state.matched[:] = state.pose
     state.motion[:], state.covariance[:], state.travelled[:] = 0.0, 0.0, 0.0
 
@@ -182,9 +182,8 @@ def _predict(motions: Motions, k: int, state: State, d_pose: Array) -> bool:
     state.travelled[0] += math.hypot(d_pose[0], d_pose[1])
     state.travelled[1] += abs(d_pose[2])
     state.travelled[2] += motions.duration[k]
-    elapsed, state.stamp[0] = motions.stamps[k] - state.stamp[0], motions.stamps[k]
-    if elapsed > 0.0:  # not before the first sweep, nor where stamps run back
-        state.travelled[3] += elapsed
+    state.interval[0], state.interval[1] = motions.duration[k], motions.stamps[k] - state.stamp[0]
+    state.stamp[0] = motions.stamps[k]
     if not no_odometry:
         position, heading = variances(state.odometry, state.travelled[0], state.travelled[1])
     state.prior[0], state.prior[1] = position, heading
@@ -308,7 +307,7 @@ def _contradicts(beams: BeamColumns, k: int, state: State, no_odometry: bool) ->
     """
     variance = SLIP_SIGMAS**2 * (state.covariance[0, 0] + state.covariance[1, 1])
     covered = not no_odometry and variance < MAX_SLIP[0] ** 2
-    gap = is_gap(state.travelled[2], state.averages[3], WINDOW)
+    gap = is_gap(state.interval[0], state.intervals, WINDOW)
     if state.faults.poor[0] > 0.0 or (gap and not covered):
         return True
     share = contradicted_share(
@@ -363,10 +362,12 @@ def _find_pose(features: Features, state: State, settings: Settings, H: Array, W
 @kernel
 def _predictions(state: State, prior: Array) -> Prediction:
     """Return the predicted poses of a scan; `prior` (3,) is the information of that by odometry."""
-    pose, usual, interval = state.pose.copy(), state.averages[0], state.averages[3]
+    pose, usual = state.pose.copy(), state.averages[0]
     # If odometry was silent while scans determined the position, its whole motion comes at once.
-    seen = not is_gap(state.travelled[3], interval, WINDOW) and state.faults.unlocated[0] == 0.0
-    if is_gap(state.travelled[2], interval, WINDOW) and not seen:
+    seen = (
+        not is_gap(state.interval[1], state.intervals, WINDOW) and state.faults.unlocated[0] == 0.0
+    )
+    if is_gap(state.interval[0], state.intervals, WINDOW) and not seen:
         return Prediction(pose, prior, pose, pose, usual)
     extrapolated = state.matched.copy()
     advance_pose(extrapolated, state.velocity)

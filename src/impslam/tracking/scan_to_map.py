@@ -13,6 +13,7 @@ from impslam.geometry.kernels import plain
 from impslam.noise import MotionNoise
 from impslam.surfaces.surface_map import Alignment, no_evidence
 from impslam.tracking.base import Gate, Steps, Tracker
+from impslam.tracking.intervals import no_intervals
 from impslam.tracking.jump import no_past
 from impslam.tracking.learned_odometry import initial_odometry
 from impslam.tracking.match_faults import initial_faults
@@ -81,13 +82,15 @@ class ScanToMap(Tracker):
             matched=np.zeros(3),
             motion=np.zeros(3),
             covariance=np.zeros((3, 3)),
-            travelled=np.zeros(4),
+            travelled=np.zeros(3),
             stamp=np.full(1, np.nan),
+            interval=np.full(2, np.nan),
+            intervals=no_intervals(),
             velocity=np.zeros(3),
             prior=np.zeros(2),
             frozen=FrozenOdometry(np.zeros(1, np.bool_), np.zeros(1), np.zeros(1)),
             unlocated=np.zeros(1),
-            averages=np.array([USUAL_SHARE, USUAL_RMS**2, 0.1, 0.0]),
+            averages=np.array([USUAL_SHARE, USUAL_RMS**2, 0.1]),
             evidence=no_evidence(),
             faults=initial_faults(),
             time=np.zeros(1),

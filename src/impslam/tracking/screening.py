@@ -14,7 +14,7 @@ from impslam.health import COVERED, NONE, REPEATED, SKIPPED, Reasons
 from impslam.noise import MAX_GAP
 from impslam.sources.base import Problems
 from impslam.tracking.covered import Cover, hidden_beams, initial_cover
-from impslam.tracking.intervals import is_gap, updated_interval
+from impslam.tracking.intervals import add_interval, is_gap, no_intervals
 from impslam.tracking.per_lidar import PerLidar
 from impslam.tracking.scan_stream import StreamState, check_stream, initial_stream_state
 from impslam.types import Array
@@ -50,7 +50,7 @@ class Screening:
 
     def __init__(self) -> None:
         self._lidars = PerLidar(_no_scans)
-        self._gaps: dict[str, Array] = {}  # see `_find_gaps`, of the sweeps of each sensor
+        self._gaps: dict[str, tuple[Array, Array]] = {}  # see `_find_gaps`, for each sensor
 
     def screen(self, motions: Motions, sweeps: Sweeps, problems: Problems) -> Screened:
         """Screen the next sweeps of a sensor; `motions` are by odometry, before each."""
@@ -58,7 +58,8 @@ class Screening:
         reasons, amounts = np.zeros(m, np.int8), np.zeros(m)
         if sweeps.scans is not None:
             sweeps = self._screen_lidar(motions, sweeps, reasons, amounts, problems)
-        gaps = _find_gaps(motions, self._gaps.setdefault(sweeps.sensor, np.zeros(4)))
+        before = self._gaps.setdefault(sweeps.sensor, (no_intervals(), np.zeros(3)))
+        gaps = _find_gaps(motions, *before)
         skipped = gaps > 0.0
         reasons[skipped], amounts[skipped] = SKIPPED, gaps[skipped]
         return Screened(sweeps, reasons, amounts)
@@ -95,25 +96,26 @@ def _no_scans(beams: int) -> tuple[StreamState, Cover]:
 
 
 @kernel
-def _find_gaps(motions: Motions, state: Array) -> Array:
+def _find_gaps(motions: Motions, intervals: Array, state: Array) -> Array:
     """Return the gap (m,) s in the data before each sweep in which the robot has moved; 0 without one.
 
     It is a gap in all data, or in odometry alone, in which the robot may have gone on at its last speed.
-    `state` (4,) is updated: the usual interval between sweeps, s; the middle of the last sweep, s; the time
-    since the last odometry, s; and the speed then, in multiples of `MIN_MOTION` per s.
+    These are updated: `intervals`, see `no_intervals`; `state` (3,), the middle of the last sweep, s, the
+    time since the last odometry, s, and the speed then, in multiples of `MIN_MOTION` per s.
     """
     out = np.zeros(len(motions.stamps))
     for k in range(len(out)):
         x, y, turn = motions.d_pose[k]
         moved = max(math.hypot(x, y) / MIN_MOTION[0], abs(turn) / MIN_MOTION[1])
-        seconds, elapsed = motions.duration[k], motions.stamps[k] - state[1]
+        seconds, elapsed = motions.duration[k], motions.stamps[k] - state[0]
         if seconds > 0.0:
-            state[2], state[3] = 0.0, moved / seconds
+            state[1], state[2] = 0.0, moved / seconds
         else:
-            state[2] += min(max(elapsed, 0.0), MAX_SILENCE / MIN_SILENT_SWEEPS)
-        if moved > 1.0 and is_gap(seconds, state[0], MAX_GAP):
+            state[1] += min(max(elapsed, 0.0), MAX_SILENCE / MIN_SILENT_SWEEPS)
+        if moved > 1.0 and is_gap(seconds, intervals, MAX_GAP):
             out[k] = seconds
-        elif state[2] > MAX_SILENCE and state[2] * state[3] > 1.0:
-            out[k] = state[2]
-        state[0], state[1] = updated_interval(state[0], seconds), motions.stamps[k]
+        elif state[1] > MAX_SILENCE and state[1] * state[2] > 1.0:
+            out[k] = state[1]
+        add_interval(seconds, intervals, MAX_GAP)
+        state[0] = motions.stamps[k]
     return out

@@ -48,6 +48,19 @@ def test_cylinder_across_the_first_beam_of_a_full_turn(rng):
         assert len(o.beams) >= 12
 
 
+def test_where_the_laser_was_at_other_beams_does_not_matter(rng):
+    """It moves by centimetres during a sweep; the edges of a cylinder are seen from where it was then."""
+    scene = cast(ROOM, np.array([[1.5, 0.2, 0.15]]), noise=0.005, sigma=0.005, rng=rng)
+    scan, origins = scene.scan, scene.scan.origins.copy()
+    hits = scene.beams_on_circle(0)
+    origins[: hits[0]] -= [0.03, 0.0]
+    origins[hits[-1] + 1 :] += [0.03, 0.0]
+    (still,) = cylinders(scan, rng)
+    (moved,) = cylinders(dataclasses.replace(scan, origins=origins), rng)
+    np.testing.assert_array_equal(moved.z, still.z)
+    np.testing.assert_array_equal(moved.R, still.R)
+
+
 @pytest.mark.parametrize(("radius", "floor"), [(None, 0.9), (0.15, 0.95)])
 def test_covariance_is_consistent_and_most_are_found(rng, radius, floor):
     d2, tried = [], 0

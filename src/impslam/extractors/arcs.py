@@ -31,7 +31,7 @@ def find_arcs(
     starts: Ints,
     sides: Array,
     limits: Array,
-    origin: Array,
+    origins: Array,
 ) -> Array:
     """Return a row for each segment that is the whole visible side of a cylinder.
 
@@ -42,12 +42,13 @@ def find_arcs(
         without a return, and 0 at the end of the scan
     limits : known radius (NaN if unknown), smallest and largest radius (m), minimum number of points,
         largest mean chi2, largest relative sigma of the radius, beam spacing (rad)
-    origin : (2,) m, laser
+    origins : (m, 2) m, laser as each beam was fired
     """
     out = np.empty((len(starts), COLUMNS))
     count = 0
     for s in range(len(starts) - 1):
         i, j = starts[s], starts[s + 1]
+        origin = origins[(i + j) // 2]
         if j - i < limits[3] or not _is_plausible(points[i:j], sides[i:j], limits, origin):
             continue
         p, b, v, n = points[i:j], beams[i:j], variances[i:j], sides[i:j]

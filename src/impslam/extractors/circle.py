@@ -68,7 +68,7 @@ class Circle(Extractor):
             cloud.starts,
             sides,
             self._limits(spacing),
-            scan.origins[cloud.index[0]],
+            scan.origins[cloud.index],
         )
         found = [_cylinder(row, cloud.index[int(row[0]) : int(row[1])], scan) for row in arcs]
         return sorted(found, key=lambda o: int(o.beams[0]))

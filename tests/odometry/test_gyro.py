@@ -157,6 +157,19 @@ def test_bias_and_heading_are_consistent():
     assert heading < high  # the error of the bias is taken to last for 20 s, these drives for 9
 
 
+def test_corrected_turns_do_not_shorten_the_path():
+    """With the noise of Eq. 3.19, the wheel that seems to travel farther has the larger error."""
+    for seed in range(3):
+        rng, speeds = np.random.default_rng(seed), drive(20.0, turn=0.0)
+        noise = 0.01 * np.sqrt(np.abs(speeds[:, :1]) * RATE) * rng.standard_normal((len(speeds), 2))
+        common, difference = noise.mean(axis=1), np.diff(noise, axis=1)[:, 0]
+        wheels = speeds + np.column_stack([common, difference / TRACK])
+        rates = rng.normal(0.0, 6e-4 * math.sqrt(RATE), len(speeds))
+        _, d_pose, _ = corrected(log(speeds, wheels, rates), "odometry.gyro.proven=true")
+        driven, measured = float(d_pose[:, 0].sum()), float(wheels[1:, 0].sum()) / RATE
+        assert abs(driven - measured) < 1e-3 * measured
+
+
 def test_heading_is_consistent_if_systematic_errors_are_considered():
     """NEES over 60 drives whose scale and bias are constant (chi-square, 99.9 %)."""
     nees = []

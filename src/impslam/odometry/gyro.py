@@ -41,19 +41,22 @@ MAX_WINDOW_CHI2 = 9.0
 """Largest contribution of one window to that chi-square, so that no single slip decides."""
 SMOOTHING_TIME = 0.25
 """s; the wheels' variance is averaged over this time. That of a single reading depends on whether an
-encoder's step falls into it, and a gain that did so, too, would lose part of the turn."""
+encoder's step falls into it, and a gain that did so, too, would lose part of the turn. The same holds for
+their covariance of path and turn: by Eq. 3.19 the wheel that travels farther errs more, and in a single
+reading that is the one with the larger error, so that each correction of a turn would shorten the path."""
 
 # State: heading (rad), stamp and rate of the newest reading, bias, its variance, heading at the end of the
 # last motion; sums over the window: duration, turns of wheels and gyro, variance; chi-squares of the three
 # relations; time for which the wheels have been stationary (s), heading at its start; variance per second
-# of the wheels' turns; turn and duration of the interval at rest before that, 0 if there is none.
+# of the wheels' turns; turn and duration of the interval at rest before that, 0 if there is none;
+# covariance of the wheels' paths and turns per second.
 HEADING, STAMP, RATE, BIAS, BIAS_VARIANCE, LAST_HEADING = range(6)
 DURATION, WHEELS, GYRO, WINDOW_VARIANCE = range(6, 10)
 CHI2_UNRELATED, CHI2_SAME, CHI2_OPPOSITE, STATIONARY_TIME, STATIONARY_HEADING, WHEEL_VARIANCE = (
     range(10, 16)
 )
-PENDING_TURN, PENDING_TIME = 16, 17
-STATE_SIZE = 18
+PENDING_TURN, PENDING_TIME, PATH_COVARIANCE = range(16, 19)
+STATE_SIZE = 19
 
 
 class Gyro(Parameters):
@@ -294,14 +297,14 @@ def _update(
     d_pose: Array,
     P: Array,
     innovation: float,
-    wheels: tuple[float, float],
+    wheels: tuple[float, float, float],
     gyro: tuple[float, float],
 ) -> float:
     """Correct a motion (3,) and its covariance (3, 3) by the gyro's turn minus its own; return the gain.
 
-    `wheels` are the variance for the gain, and the part of the turn's own that P does not contain; `gyro`
-    are the variance for the gain, and the part of it that P is to contain. The covariance is updated in the
-    form that is valid for any gain (Joseph).
+    `wheels` are the variance for the gain, the part of the turn's own that P does not contain, and the
+    covariance of path and turn for the gain; `gyro` are the variance for the gain, and the part of it that
+    P is to contain. The covariance is updated in the form that is valid for any gain (Joseph).
     """
     expected, own = wheels[0], P[2, 2] + wheels[1]
     if innovation**2 > GATE * (expected + gyro[0]):  # the wheels do not measure the robot's turn
@@ -310,7 +313,7 @@ def _update(
         P[2, 2] += innovation**2
     share = expected / (expected + gyro[0])
     gain = share * (P[:, 2] / own if own > 0.0 else np.zeros(3))
-    gain[2] = share
+    gain[0], gain[2] = (share * wheels[2] / own if own > 0.0 else 0.0), share
     d_pose += gain * innovation
     d_pose[2] = wrap_in_kernel(d_pose[2])
     A = np.eye(3)
@@ -330,7 +333,12 @@ def _fuse(
     state[BIAS_VARIANCE] += noise[1] * dt
     systematic = noise[5] * math.hypot(d_pose[0], d_pose[1]) + noise[6] * abs(d_pose[2])
     wheels = P[2, 2] + systematic
-    state[WHEEL_VARIANCE] += min(dt / SMOOTHING_TIME, 1.0) * (wheels / dt - state[WHEEL_VARIANCE])
+    weight = min(dt / SMOOTHING_TIME, 1.0)
+    path = (
+        state[PATH_COVARIANCE] * dt
+    )  # before this reading, so that it does not depend on its error
+    state[WHEEL_VARIANCE] += weight * (wheels / dt - state[WHEEL_VARIANCE])
+    state[PATH_COVARIANCE] += weight * (P[0, 2] / dt - state[PATH_COVARIANCE])
     stationary = d_pose[0] == 0.0 and d_pose[2] == 0.0 and P[2, 2] == 0.0
     if stationary:
         learning = _wait(state, noise[0], dt)
@@ -352,7 +360,7 @@ def _fuse(
         if not learning or innovation**2 > STATIONARY_GATE * variance:
             kept = variance if noise[7] > 0.0 else random
             expected = state[WHEEL_VARIANCE] * dt
-            return _update(d_pose, P, innovation, (expected, systematic), (variance, kept))
+            return _update(d_pose, P, innovation, (expected, systematic, path), (variance, kept))
     return 0.0
 
 

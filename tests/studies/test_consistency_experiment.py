@@ -7,7 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from impslam.config import load
 from impslam.evaluation.json_values import json_values
+from impslam.simulation.noise import build
 from impslam.simulation.robot import SimulatedRobot
 from impslam.simulation.world import load_world
 from impslam.studies import consistency as experiment
@@ -19,6 +21,7 @@ from impslam.studies.consistency_arena import (
     ConsistencyCase,
     arena_consistency,
     consistency_metrics,
+    drawn_from,
     landmark_nees,
     nis_by_kind,
     reported_error,
@@ -150,3 +153,16 @@ def test_nis_is_over_its_dimension_and_by_kind():
     )
     pairs = [(seen[match.observation], match) for match in matches]
     assert nis_by_kind(pairs) == {"wall": 1.0, "x": 0.5}
+
+
+def test_constants_drawn_from_a_config_scatter_as_it_assumes():
+    config = load("imp", ["odometry.slip.systematic=0.5", "sensors.lidar.bias=0.02"])
+    robot, constant = drawn_from(config), config.make_robot().odometry.slip.split()[1]
+    assert robot.lidar.bias_sigma == 0.02
+    assert robot.imu.gyro_bias_sigma == config.make_robot().odometry.gyro.bias
+    rng, wheels = np.random.default_rng(0), robot.encoders
+    built = [build(wheels, rng)[:2] for _ in range(2000)]
+    bends = [(right - left) / wheels.wheel_radius / wheels.track for (left, right), _ in built]
+    tracks = [track / wheels.track - 1.0 for _, track in built]
+    assert np.std(bends) == pytest.approx(constant.turn_per_distance, rel=0.05)  # rad/m
+    assert np.std(tracks) == pytest.approx(constant.turn, rel=0.05)

@@ -18,7 +18,8 @@ from impslam.simulation.robot import SimulatedRobot
 from impslam.simulation.simulate import simulate
 from impslam.simulation.world import load_world
 from impslam.sources.recording import McapWriter
-from impslam.types import Imu
+from impslam.tracking.base import Tracker
+from impslam.types import Imu, TruePose
 
 SECONDS = 12.0
 BARE = [f"sensors.lidar.extractors.{name}.kind=none" for name in ("walls", "cylinders", "corners")]
@@ -83,8 +84,31 @@ def test_from_the_first_reading_of_a_gyro_on_they_include_its_own_whatever_the_b
         np.testing.assert_array_equal(part.errors, same.errors)
         np.testing.assert_array_equal(part.correlation, same.correlation)
     assert parts[0].errors.shape[1] == 2
-    assert parts[-1].learned.tolist() == [False, False, False, True]
+    assert parts[-1].learned.tolist() == [False, False, True, True]
     np.testing.assert_array_equal(rows.covariances, single.map().rows().covariances)
+
+
+def test_motions_after_a_keyframe_are_corrected_by_what_was_learned_of_the_gyro(monkeypatch):
+    """Landmarks cannot correct the headings of scans between keyframes, here a second apart."""
+    messages = recording(with_gyro=True)
+    true = {m.stamp: m.pose for m in messages if isinstance(m, TruePose)}
+    settings = (
+        "keyframes.angle=1",
+        "keyframes.distance=1",
+        "keyframes.seconds=1",
+        f"start={[0.0, 0.0, np.pi / 2]}",
+    )
+    errors, sigmas = {}, {}
+    for learns in (True, False):
+        if not learns:
+            monkeypatch.setattr(Tracker, "learn", lambda *_: None)
+        rows, _ = played(messages, *settings)
+        late = rows.stamps > messages[0].stamp + 3.0
+        headings = np.array([true[stamp][2] for stamp in rows.stamps[late].tolist()])
+        errors[learns] = np.std(rows.poses[late, 2] - headings)
+        sigmas[learns] = np.sqrt(rows.covariances[late, 2, 2].mean())
+    assert errors[True] < 0.8 * errors[False]
+    assert sigmas[True] < 0.9 * sigmas[False]
 
 
 def test_dead_reckoning_is_as_uncertain_with_many_keyframes_as_with_few():

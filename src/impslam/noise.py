@@ -56,11 +56,11 @@ class SystematicErrors(NamedTuple):
 
     @property
     def learned(self) -> Mask:
-        """Which errors (k,) motions between landmarks determine: the bias, which does not depend on them.
+        """Which errors (k,) landmarks determine: those of the gyro, which are the same in each motion.
 
-        Others act only in turns and curves, in which wheels slip, too.
+        Wheels also slip differently in each turn, so no value of theirs would be right.
         """
-        return np.array([False, False, False, True] if self.gyro_bias else [False, False])
+        return np.array([False, False, True, True] if self.gyro_bias else [False, False])
 
     def turn_variances(self, d_pose: Array, duration: Array | float = 0.0) -> Array:
         """Return the variances (...) of turns in motions (..., 3), if the errors were drawn anew.

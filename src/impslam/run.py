@@ -205,6 +205,7 @@ class Run:
     def _revise(self, keyframe: Keyframe) -> None:
         with self.clock("estimate"):
             revision = self.estimator.add(keyframe)
+            self.tracker.learn(self.estimator.systematic_errors)
         if revision.refused:
             self.problems.add("keyframe", revision.refused)
         self._path = path = self._builder.revise(keyframe, revision)

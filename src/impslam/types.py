@@ -273,6 +273,18 @@ class SystematicPart(NamedTuple):
     learned: Mask
 
 
+class ErrorEstimate(NamedTuple):
+    """What a filter knows of the systematic errors of odometry; see `SystematicPart`.
+
+    Attributes
+    ----------
+    means, sigmas : (k,) in the standard deviations of `SystematicPart.errors`
+    """
+
+    means: Array
+    sigmas: Array
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Increment:
     """Motion of base_link since the previous increment, relative to its pose at the start.

@@ -13,7 +13,16 @@ from impslam.component import Component
 from impslam.errors import ConfigError, NumericalError
 from impslam.map import Keyframe, Map, Revision
 from impslam.tracking.base import KeyframeGate
-from impslam.types import NO_COVARIANCE, NO_EDGES, Array, Edges, Increment, Landmark, Observation
+from impslam.types import (
+    NO_COVARIANCE,
+    NO_EDGES,
+    Array,
+    Edges,
+    ErrorEstimate,
+    Increment,
+    Landmark,
+    Observation,
+)
 
 MIN_SIGMA = 1e-4
 """m and rad, of the start, which defines the map frame, and added to motions and to the scatter of
@@ -123,6 +132,11 @@ class Estimator(Component):
     def edges(self) -> Edges:
         """Return the edges of the pose graph between keyframe ids, or none without a graph."""
         return NO_EDGES
+
+    @property
+    def systematic_errors(self) -> ErrorEstimate | None:
+        """What is known of the systematic errors of odometry; None if they are not considered."""
+        return None
 
     def observations(self) -> tuple[tuple[Observation, ...], ...]:
         """Return the observations of each keyframe, if they are needed to continue the map."""

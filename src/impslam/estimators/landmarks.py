@@ -24,7 +24,7 @@ from impslam.landmarks.base import LandmarkModel
 from impslam.lifecycle.base import Lifecycle
 from impslam.map import Keyframe, Revision
 from impslam.noise import MAX_GAP
-from impslam.types import Array, Increment, Landmark, Match, Observation
+from impslam.types import Array, ErrorEstimate, Increment, Landmark, Match, Observation
 
 
 @register("landmarks")
@@ -192,6 +192,11 @@ class Landmarks(Estimator):
     def observations(self) -> tuple[tuple[Observation, ...], ...]:
         """Return the observations of each keyframe; see `Estimator.observations`."""
         return self._sightings.by_keyframe()
+
+    @property
+    def systematic_errors(self) -> ErrorEstimate | None:
+        """What the filter knows of the systematic errors of odometry."""
+        return self._filter.systematic_errors
 
     def counts(self) -> Mapping[str, int]:
         """Return the counts of fused landmarks, slips, and corrections by refused GPS fixes."""

@@ -16,6 +16,7 @@ from impslam.landmarks.base import LandmarkModel
 from impslam.types import (
     NO_COVARIANCE,
     Array,
+    ErrorEstimate,
     Increment,
     Innovation,
     Ints,
@@ -180,6 +181,11 @@ class Filter(Component):
     @abstractmethod
     def covariance(self) -> Array:
         """(3, 3) of the pose."""
+
+    @property
+    def systematic_errors(self) -> ErrorEstimate | None:
+        """What is known of the systematic errors of odometry; None if they are not in the state."""
+        return None
 
     @abstractmethod
     def outlines(self) -> tuple[Ints, Array]:

@@ -30,9 +30,11 @@ from impslam.geometry.angles import wrap
 from impslam.geometry.kernels import plain
 from impslam.geometry.se2 import rotation
 from impslam.landmarks.base import Initial, LandmarkModel, Prediction
-from impslam.types import Array, Increment, Innovation, Ints, Match, Observation
+from impslam.types import Array, ErrorEstimate, Increment, Innovation, Ints, Match, Observation
 
 _NONE: Ints = np.empty(0, np.int64)
+_ODOMETRY = "odometry "
+"""Prefix of the names of its errors; a number follows."""
 
 
 @register("ekf")
@@ -83,7 +85,7 @@ class Ekf(GaussianFilter):
             return _NONE
         each = enumerate(increment.systematic.learned.tolist())
         return np.array(
-            [self._belief.error(f"odometry {k}", learned=learned) for k, learned in each]
+            [self._belief.error(f"{_ODOMETRY}{k}", learned=learned) for k, learned in each]
         )
 
     def _learned_motion(self, increment: Increment, errors: Ints) -> Array:
@@ -99,6 +101,15 @@ class Ekf(GaussianFilter):
             S = increment.systematic.errors.copy()
             S[:2] = rotation(heading) @ S[:2]
             self._belief.shift(errors, S)
+
+    @property
+    def systematic_errors(self) -> ErrorEstimate | None:
+        """What is known of the systematic errors of odometry; see `Filter.systematic_errors`."""
+        belief = self._belief
+        entries = [entry for name, entry in belief.errors.items() if name.startswith(_ODOMETRY)]
+        if not entries:
+            return None
+        return ErrorEstimate(belief.mean[entries], np.sqrt(belief.P.diagonal()[entries]))
 
     def undo_predict(self) -> None:
         """Undo the last prediction; see `Filter.undo_predict`."""

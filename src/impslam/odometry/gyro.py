@@ -44,6 +44,9 @@ SMOOTHING_TIME = 0.25
 encoder's step falls into it, and a gain that did so, too, would lose part of the turn. The same holds for
 their covariance of path and turn: by Eq. 3.19 the wheel that travels farther errs more, and in a single
 reading that is the one with the larger error, so that each correction of a turn would shorten the path."""
+CORRECTION_TIME = 0.5
+"""s; the time for which the error of the bias counts in the gain if the filter estimates it: landmarks
+correct the heading, and with it the bias, at the next keyframe."""
 
 # State: heading (rad), stamp and rate of the newest reading, bias, its variance, heading at the end of the
 # last motion; sums over the window: duration, turns of wheels and gyro, variance; chi-squares of the three
@@ -117,7 +120,8 @@ class GyroFusion:
         wheels = considered or SystematicErrors(0.0, 0.0)
         self._noise = np.array([
             gyro.noise**2, gyro.bias_walk**2, gyro.scale**2, lever**2, band or math.inf,
-            wheels.turn_per_distance**2, wheels.turn**2, considered is None,
+            wheels.turn_per_distance**2, wheels.turn**2,
+            BIAS_CORRELATION_TIME if considered is None else CORRECTION_TIME, considered is None,
         ])  # fmt: skip
 
     @property
@@ -355,10 +359,10 @@ def _fuse(
             P[0, 0] += slip2
             P[1, 1] += slip2
     if _trusted(state):
-        variance += state[BIAS_VARIANCE] * dt * max(BIAS_CORRELATION_TIME, dt)
+        variance += state[BIAS_VARIANCE] * dt * max(noise[7], dt)
         innovation = wrap_in_kernel(turn - state[BIAS] * dt - d_pose[2])
         if not learning or innovation**2 > STATIONARY_GATE * variance:
-            kept = variance if noise[7] > 0.0 else random
+            kept = variance if noise[8] > 0.0 else random
             expected = state[WHEEL_VARIANCE] * dt
             return _update(d_pose, P, innovation, (expected, systematic, path), (variance, kept))
     return 0.0

@@ -24,7 +24,7 @@ from impslam.parameters import Parameters
 from impslam.sources.base import Problems
 from impslam.tracking.screening import Screening
 from impslam.tracking.self_deskewing import with_stamps, writable
-from impslam.types import Array, Increment, Mask, SystematicPart
+from impslam.types import Array, ErrorEstimate, Increment, Mask, SystematicPart
 
 _CONTRADICTED = (
     "the scan at {:.3f} s shows another motion than odometry; the pose follows the scans: check "
@@ -124,6 +124,7 @@ class Tracker(Component):
     _systematic: Sequence[SystematicErrors | None] = PrivateAttr(())
     _systematic_before: SystematicErrors | None = PrivateAttr(None)
     """Those of the newest keyframe that has any."""
+    _known_errors: ErrorEstimate | None = PrivateAttr(None)
     _travelled: dict[str, Array] = PrivateAttr(default_factory=dict)
     _screening: Screening = PrivateAttr(default_factory=Screening)
     _duration: float = PrivateAttr(0.0)
@@ -164,6 +165,13 @@ class Tracker(Component):
         `motions` are by odometry, from the middle of the previous sweep to the middle of each. Scans whose
         motion is unknown may be de-skewed in place.
         """
+
+    def learn(self, errors: ErrorEstimate | None) -> None:
+        """Correct the motions since the newest keyframe by what the estimator knows of systematic errors.
+
+        The motions between keyframes are not corrected: the estimator does that itself.
+        """
+        self._known_errors = errors
 
     def follow(
         self,
@@ -227,7 +235,7 @@ class Tracker(Component):
         for k, systematic in enumerate(self._systematic[rows]):
             if systematic is not None:
                 errors = systematic.errors(T_stamp[k], elapsed[k])
-                spread_stamp[k] += errors @ errors.T
+                self._add_systematic(errors, T_stamp[k], spread_stamp[k])
         self._duration += float(motions.duration[rows.start : stop].sum())
         m, keyframe = rows.stop - rows.start, None
         if has_keyframe:
@@ -251,6 +259,16 @@ class Tracker(Component):
         )
         self._keyframes += has_keyframe
         return track
+
+    def _add_systematic(self, errors: Array, d_pose: Array, covariance: Array) -> None:
+        """Correct a motion (3,) by what is known of its systematic errors (3, k); widen its covariance."""
+        sigmas, known = np.ones(errors.shape[1]), self._known_errors
+        if known is not None:
+            count = min(len(known.means), len(sigmas))
+            d_pose += errors[:, :count] @ known.means[:count]
+            sigmas[:count] = known.sigmas[:count]
+        errors = errors * sigmas
+        covariance += errors @ errors.T
 
     def _keyframe(self, tracked: _Tracked, row: int, d_pose: Array, covariance: Array) -> Keyframe:
         """Return the keyframe in a row, with the motion from the previous keyframe."""

@@ -9,6 +9,7 @@ import pytest
 
 from impslam.config import load
 from impslam.evaluation.json_values import json_values
+from impslam.evaluation.landmarks import landmark_errors, true_wall
 from impslam.simulation.noise import build
 from impslam.simulation.robot import SimulatedRobot
 from impslam.simulation.world import load_world
@@ -24,7 +25,6 @@ from impslam.studies.consistency_arena import (
     drawn_from,
     landmark_nees,
     nis_by_kind,
-    reported_error,
 )
 from impslam.studies.filter_consistency import BATCH, consistency_study
 from impslam.studies.sweep import sweep
@@ -129,7 +129,7 @@ def test_landmark_nees_by_hand():
     seen = {"r": wall.parameters["r"] + 0.02, "alpha": wall.parameters["alpha"] - 0.01}
     P = np.diag([0.01, 0.01]) ** 2
     mark = landmark("wall", wall.position + np.array([0.02, 0.0]), seen, P, wall.end_points)
-    np.testing.assert_allclose(reported_error(mark, wall), [0.02, -0.01])
+    np.testing.assert_allclose(landmark_errors(mark, wall), [0.02, -0.01])
     cylinder = next(true for true in world if true.kind == "cylinder")
     point = landmark("cylinder", cylinder.position + np.array([0.03, 0.0]), {}, P)
     point = replace(point, id=8)
@@ -141,7 +141,16 @@ def test_wall_directions_are_compared_the_short_way():
     assert abs(wall.parameters["alpha"]) == pytest.approx(np.pi)
     seen = {"r": wall.parameters["r"], "alpha": -np.sign(wall.parameters["alpha"]) * (np.pi - 0.01)}
     mark = landmark("wall", wall.position, seen, np.eye(2), wall.end_points)
-    assert abs(reported_error(mark, wall)[1]) == pytest.approx(0.01)
+    assert abs(landmark_errors(mark, wall)[1]) == pytest.approx(0.01)
+
+
+def test_a_wall_through_the_origin_may_be_reported_from_its_other_side():
+    wall = true_wall("south", np.array([[0.0, 0.0], [14.0, 0.0]]))
+    for side in (1.0, -1.0):
+        seen = {"r": 0.01, "alpha": side * 0.5 * np.pi}
+        ends = wall.end_points + np.array([0.0, side * 0.01])
+        mark = landmark("wall", ends[0], seen, 1e-4 * np.eye(2), ends)
+        assert landmark_nees([mark], [wall]) == pytest.approx({"wall": 1.0})
 
 
 def test_nis_is_over_its_dimension_and_by_kind():

@@ -19,8 +19,7 @@ import numpy as np
 
 from impslam.config import Config, load
 from impslam.evaluation.consistency import nees, share_within
-from impslam.evaluation.landmarks import score_landmarks
-from impslam.geometry.angles import wrap
+from impslam.evaluation.landmarks import landmark_errors, score_landmarks
 from impslam.odometry.encoders import Encoders
 from impslam.sensors.lidar2d import Lidar2D
 from impslam.simulation.robot import InertialUnit, Lidar, SimulatedRobot, WheelEncoders
@@ -198,18 +197,10 @@ def landmark_nees(estimates: Sequence[Landmark], truth: Sequence[TrueLandmark]) 
     found: dict[str, list[float]] = {}
     for match in score_landmarks(estimates, truth).found:
         mark, true = by_id[match.id], by_name[match.name]
-        error = reported_error(mark, true)
+        error = landmark_errors(mark, true)
         value = nees(error[None], mark.covariance[None])[0]
         found.setdefault(mark.kind, []).append(float(value))
     return {kind: float(np.mean(values)) for kind, values in found.items()}
-
-
-def reported_error(mark: Landmark, true: TrueLandmark) -> Array:
-    """Return the error (2,) of the values that a landmark's covariance refers to."""
-    if mark.kind != "wall":
-        return mark.position - true.position
-    r, alpha = (mark.parameters[name] - true.parameters[name] for name in ("r", "alpha"))
-    return np.array([r, wrap(alpha)])
 
 
 def _means(case: str, name: str, rows: Sequence[Row]) -> ArenaConsistency:

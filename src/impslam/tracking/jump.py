@@ -199,11 +199,13 @@ def _changed(
     view = _view(to_beside, geometry)
     changed = count = 0
     low, high = np.full(2, math.inf), np.full(2, -math.inf)
+    ahead, step = _direction(geometry.first), _direction(geometry.spacing)
     for i in range(len(ranges)):
+        beam, ahead = ahead, _turned(ahead, step)
         if ranges[i] <= 0.0:
             continue
         count += 1
-        if _is_not_free(i, ranges[i], opposite, view):  # nearly always, and much faster
+        if _is_not_free(i, ranges[i], beam, opposite, view, geometry):  # nearly always; much faster
             continue
         k, reach = seen_from(i, ranges[i], to_beside, len(ranges), geometry)
         if (
@@ -213,8 +215,7 @@ def _changed(
             and _shows(halfway, i, ranges[i], to_halfway, past, geometry)
         ):
             changed += 1
-            angle = geometry.first + i * geometry.spacing
-            x, y = ranges[i] * math.cos(angle), ranges[i] * math.sin(angle)
+            x, y = ranges[i] * beam[0], ranges[i] * beam[1]
             low[0], low[1] = min(low[0], x), min(low[1], y)
             high[0], high[1] = max(high[0], x), max(high[1], y)
     share = changed / max(count, 1)
@@ -224,33 +225,54 @@ def _changed(
 
 
 @kernel
-def _view(T_other_laser: Array, geometry: Geometry) -> tuple[float, int, int, float]:
-    """Return how a scan is seen from the pose of another one, for `_is_not_free`.
-
-    The values are the distance between the lasers, m; the difference between beams of the same direction;
-    the number of beams in `TURN_CLEARANCE`; and the range, m, beyond which the distance turns the direction
-    of a point by less than that.
-    """
-    moved, spacing = math.hypot(T_other_laser[0], T_other_laser[1]), abs(geometry.spacing)
-    if not 0.0 < spacing < TURN_CLEARANCE:
-        return moved, 0, 0, math.inf
-    shift = math.floor(T_other_laser[2] / geometry.spacing + 0.5)
-    nearest = moved / math.sin(TURN_CLEARANCE - spacing)  # one beam less: two numbers are rounded
-    return moved, shift, math.ceil(TURN_CLEARANCE / spacing), nearest
+def _direction(angle: float) -> tuple[float, float]:
+    return math.cos(angle), math.sin(angle)
 
 
 @kernel
-def _is_not_free(i: int, reach: float, other: Array, view: tuple[float, int, int, float]) -> bool:
+def _turned(one: tuple[float, float], by: tuple[float, float]) -> tuple[float, float]:
+    """Return a direction turned by the angle of another one."""
+    return one[0] * by[0] - one[1] * by[1], one[1] * by[0] + one[0] * by[1]
+
+
+@kernel
+def _view(T_other_laser: Array, geometry: Geometry) -> tuple[float, float, int, float]:
+    """Return how a scan is seen from the pose of another one, for `_is_not_free`.
+
+    The values are the position of its laser, m, from the other laser, along its own axes; the difference
+    between beams of the same direction; and the tangent of the angle at a point between both lasers up to
+    which a beam found with that angle is within `TURN_CLEARANCE` of the one that points there: x differs
+    from atan(x) by at most x^3 / 3, and three numbers are rounded to half a beam.
+    """
+    c, s = _direction(T_other_laser[2])
+    x, y = c * T_other_laser[0] + s * T_other_laser[1], c * T_other_laser[1] - s * T_other_laser[0]
+    room = TURN_CLEARANCE - 1.5 * abs(geometry.spacing)
+    if geometry.spacing == 0.0 or room <= 0.0:
+        return x, y, 0, 0.0
+    shift = math.floor(T_other_laser[2] / geometry.spacing + 0.5)
+    return x, y, shift, (3.0 * room) ** (1.0 / 3.0)
+
+
+@kernel
+def _is_not_free(
+    i: int,
+    reach: float,
+    beam: tuple[float, float],
+    other: Array,
+    view: tuple[float, float, int, float],
+    geometry: Geometry,
+) -> bool:
     """Return True if the end of beam i is certainly not in the free space of another scan.
 
-    The beam of the same direction in the other scan, with ranges (n,), bounds its `free_ranges` at the beam
-    that points there, which is within `TURN_CLEARANCE` of it.
+    `beam` is its direction. A beam of the other scan, with ranges (n,), that is within `TURN_CLEARANCE` of
+    the one that points there bounds the `free_ranges` of that one.
     """
-    moved, shift, width, nearest = view
-    k = i + shift
-    if reach <= nearest or k < width or k >= len(other) - width:
+    x, y, shift, limit = view
+    along, across = reach + x * beam[0] + y * beam[1], y * beam[0] - x * beam[1]
+    if not abs(across) < limit * along:
         return False
-    return bool(reach - moved >= other[k] - CLEARANCE)
+    k = i + shift + math.floor(across / (along * geometry.spacing) + 0.5)
+    return 0 <= k < len(other) and along >= other[k] - CLEARANCE
 
 
 @kernel

@@ -84,8 +84,10 @@ def ranges_at_once(ranges: Array, directions: Array, geometry: Geometry) -> Arra
     n, out = len(ranges), np.zeros(len(ranges))
     for k in range(n):
         i = k
-        for _ in range(2 if geometry.spacing != 0.0 else 0):
+        for attempt in range(2 if geometry.spacing != 0.0 else 0):
             off = directions[i] - geometry.laser[2] - geometry.first - i * geometry.spacing
+            if attempt == 0 and abs(off) < 0.5 * abs(geometry.spacing):  # nearly always
+                break
             off -= 2.0 * math.pi * math.floor(off / (2.0 * math.pi) + 0.5)
             i = k - math.floor(off / geometry.spacing + 0.5)
             if not 0 <= i < n:

@@ -223,12 +223,13 @@ def normal_equations(
     min_cell = math.ceil(RADIUS * RADIUS + 1 - radius * radius) << _BITS
     # Sums in tuples stay in registers; in arrays, every point would wait for the previous one.
     sums = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    left, low = pose[0] - surface_map.corner[0], pose[1] - surface_map.corner[1]
+    per_cell, per_scale2 = 1.0 / CELL, 1.0 / scale**2
     inside = inliers = squares = weights = 0.0
     for i in range(0, len(features), step):
         rx = c * features[i, 0] - s * features[i, 1]
         ry = s * features[i, 0] + c * features[i, 1]
-        x, y = pose[0] + rx, pose[1] + ry
-        u, v = (x - surface_map.corner[0]) / CELL, (y - surface_map.corner[1]) / CELL
+        u, v = (left + rx) * per_cell, (low + ry) * per_cell
         if not (0.0 <= u < width and 0.0 <= v < height):  # also if the pose is not finite
             continue
         inside += 1.0
@@ -236,7 +237,7 @@ def normal_equations(
         if cell < min_cell:
             continue
         surfel, weight = surface_map.surfels[surfel_of(cell)], float(features[i, 4])
-        ex, ey = x - surfel[_X], y - surfel[_Y]
+        ex, ey = pose[0] + rx - surfel[_X], pose[1] + ry - surfel[_Y]
         if surfel[_WEIGHT] > 0.0 and weight > 0.0:
             nx, ny = surfel[_NX], surfel[_NY]
             cosine = c * (features[i, 2] * nx + features[i, 3] * ny)
@@ -244,7 +245,7 @@ def normal_equations(
             if cosine < MIN_NORMAL_COSINE:
                 continue
             e = nx * ex + ny * ey
-            share = 1.0 / (1.0 + (e / scale) ** 2)
+            share = 1.0 / (1.0 + e * e * per_scale2)
             w = surfel[_WEIGHT] * weight * share**2
             sums = _add_row(sums, nx, ny, ny * rx - nx * ry, e, w)
             squares += share * share * e * e

@@ -169,6 +169,12 @@ class Revision:
     dropped: tuple[int, ...] = ()
     innovation: Innovation | None = None
 
+    @property
+    def is_placed(self) -> bool:
+        """Whether the newest keyframe is located in the map."""
+        placed = self.placed
+        return bool(placed[-1] if isinstance(placed, np.ndarray) else placed)
+
     def nis(self) -> tuple[float, int]:
         """Return the normalised innovation squared of the matches and its degrees of freedom.
 

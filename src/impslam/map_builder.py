@@ -70,20 +70,22 @@ class MapBuilder:
 
     def revise(self, keyframe: Keyframe, revision: Revision) -> PathRows:
         """Add a keyframe and update revised ones; return the pose at the keyframe's stamp."""
-        own = revision.ids == keyframe.id
-        kept, placed = self._keyframes, np.broadcast_to(revision.placed, len(own))
+        kept, moved = self._keyframes, len(revision.ids) - 1
         sessions = kept["sessions"]
         session = sessions.array[-1] + keyframe.lost if len(sessions) else 0
         sessions.append(session)
         kept["stamps"].append(keyframe.stamp)
         kept["motions"].append(keyframe.motion.d_pose)
         kept["motion_covariances"].append(keyframe.motion.covariance)
-        for name, rows in (
-            ("poses", revision.poses), ("covariances", revision.covariances), ("placed", placed),
-        ):  # fmt: skip
-            kept[name].append(rows[own])
-            if len(own) > 1:
-                kept[name].replace(revision.ids[~own], rows[~own])
+        kept["poses"].append(revision.poses[-1])
+        kept["covariances"].append(revision.covariances[-1])
+        kept["placed"].append(revision.is_placed)
+        if moved:
+            placed = np.broadcast_to(revision.placed, moved + 1)
+            for name, rows in (
+                ("poses", revision.poses), ("covariances", revision.covariances), ("placed", placed),
+            ):  # fmt: skip
+                kept[name].replace(revision.ids[:-1], rows[:-1])
         self._keep(keyframe, revision)
         if revision.dropped:
             self._drop(revision.dropped)

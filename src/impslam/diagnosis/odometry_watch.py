@@ -155,7 +155,7 @@ class OdometryWatch(Observer):
 
 def _is_sound(keyframe: Keyframe, revision: Revision) -> bool:
     """Return whether the keyframe's pose is based on more than odometry and continues the last one."""
-    is_placed = bool(np.ravel(revision.placed)[-1]) and len(revision.ids) == 1
+    is_placed = revision.is_placed and len(revision.ids) == 1
     is_seen = keyframe.located or bool(revision.matches)
     return is_placed and is_seen and not keyframe.lost and keyframe.reason < SLIPPED
 

@@ -39,6 +39,8 @@ from impslam.noise import UNKNOWN
 from impslam.tracking.base import KeyframeGate
 from impslam.types import NO_COVARIANCE, Array, Edges, Increment, Landmark, Observation
 
+_MIN_COVARIANCE = MIN_SIGMA**2 * np.eye(3)
+
 
 @register("graph")
 class Graph(Estimator):
@@ -319,7 +321,7 @@ def _usable(keyframe: Keyframe) -> tuple[Keyframe, str]:
         wrong = str(error)
     if not is_finite(motion):
         motion = replace(motion, d_pose=np.zeros(3), covariance=UNKNOWN * np.eye(3))
-    motion = replace(motion, covariance=motion.covariance + MIN_SIGMA**2 * np.eye(3))
+    motion = replace(motion, covariance=motion.covariance + _MIN_COVARIANCE)
     if not wrong:
         return replace(keyframe, motion=motion), ""
     reason = f"the scan at {keyframe.stamp:.3f} s is not used for the map: {wrong}"

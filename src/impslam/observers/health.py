@@ -85,7 +85,7 @@ class HealthMonitor(Observer):
 
     def revise(self, keyframe: Keyframe, revision: Revision, path: PathRows) -> None:
         """Record the scan of a keyframe."""
-        lost, placed = self._carried[4:], bool(np.ravel(revision.placed)[-1])
+        lost, placed = self._carried[4:], revision.is_placed
         recognised = len(revision.ids) > 1  # a place is known
         growths = self._advance(keyframe)
         fresh = self._fresh or recognised or keyframe.located

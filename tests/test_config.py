@@ -182,6 +182,22 @@ def test_every_component_resolves_and_loads_again(role, tmp_path: Path):
         assert load(file).resolved() == resolved
 
 
+def test_another_estimator_for_a_resolved_config_has_its_own_keyframes(tmp_path: Path):
+    file = tmp_path / "config.toml"
+    file.write_text(tomli_w.dumps(load("default").resolved()))
+    room = load(file, ["estimator.kind=landmarks"])
+    assert room.make_gate() == load("default", ["estimator.kind=landmarks"]).make_gate()
+    assert room.make_gate() != load(file).make_gate()
+    (tmp_path / "room.toml").write_text(f'base = "{file}"\n[estimator]\nkind = "landmarks"\n')
+    assert load(tmp_path / "room.toml").make_gate() == room.make_gate()
+
+
+def test_keyframes_that_a_config_chooses_hold_for_every_estimator(tmp_path: Path):
+    file = tmp_path / "config.toml"
+    file.write_text(tomli_w.dumps(load("default", ["keyframes.distance=0.3"]).resolved()))
+    assert load(file, ["estimator.kind=landmarks"]).make_gate() == load(file).make_gate()
+
+
 # --------------------------------------------------------------------------- plug-ins
 
 

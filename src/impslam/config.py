@@ -206,7 +206,7 @@ def read_table(name: str | Path, derived: tuple[str, ...] = ()) -> Table:
     table = toml.parse(text, str(name))
     base = table.pop("base", None)
     table = _with_plugin_paths(table, path.parent)
-    return table if base is None else merge(read_table(str(base), (*derived, str(name))), table)
+    return table if base is None else _override(read_table(str(base), (*derived, str(name))), table)
 
 
 def carried(preset: str, log: Path) -> Table:
@@ -278,6 +278,28 @@ def merge(below: Table, above: Mapping[str, Any]) -> Table:
         else:
             merged[key] = value
     return merged
+
+
+def _override(below: Table, above: Mapping[str, Any]) -> Table:
+    """Return a config overridden by another one, or by a setting.
+
+    A resolved config lists the keyframes of its estimator; they do not suit another one.
+    """
+    merged = merge(below, above)
+    before, after = (_estimator(table) for table in (below, merged))
+    if before is None or before is after or "keyframes" not in below:
+        return merged
+    if below["keyframes"] != before.keyframes.model_dump(mode="json"):
+        return merged
+    return {**merged, "keyframes": dict(above.get("keyframes", {}))}
+
+
+def _estimator(table: Table) -> type[Estimator] | None:
+    """Return the estimator that a config names; None if it names none, or one that is unknown so far."""
+    named = table.get("estimator")
+    kind = named.get("kind") if isinstance(named, Mapping) else None
+    found = components("estimator").get(kind) if isinstance(kind, str) else None
+    return found if found is not None and issubclass(found, Estimator) else None
 
 
 def parse_setting(setting: str) -> Table:
@@ -374,7 +396,7 @@ def _merged(base: str | Path | Table, settings: Sequence[str]) -> Table:
         raise ConfigError(f'settings = {shorten(settings)}: expected a list, e.g. ["seed=1"]')
     table = base if isinstance(base, dict) else read_table(base)
     for setting in settings:
-        table = merge(table, _with_plugin_paths(parse_setting(setting), Path()))
+        table = _override(table, _with_plugin_paths(parse_setting(setting), Path()))
     return table
 
 

@@ -42,13 +42,14 @@ has failed. LOST: it may be anywhere; the map does not change.
     INCONSISTENT,
     GROWN,
     DISPLACED,
+    AMBIGUOUS,
     ASSUMED,
     CONTRADICTED,
     UNEXPLAINED,
     ELSEWHERE,
     UNPLACED,
     NOT_FINITE,
-) = range(26)
+) = range(27)
 """The reasons. `OPEN` and `GROWN` come with a distance in m, `MISTIMED` and `SKIPPED` with s, `MISALIGNED`
 with degrees, `INCONSISTENT` with a ratio; `MISSCALED`, `COVERED`, `CHANGED`, `CARRIED`, `UNEXPLAINED` and
 `ELSEWHERE` with a share."""
@@ -73,6 +74,7 @@ _DESCRIPTIONS = (
     "landmarks are {0:.1f} times as far from their positions as expected; the position is uncertain",
     "nothing known was seen for {0:.1f} m; the position is uncertain",
     "most observations match no earlier landmark; the position is uncertain",
+    "the scans also fit other places within the uncertainty; the robot may be at one of them",
     "tracking was lost; the path since is by odometry alone, and no earlier place is recognised",
     "the scans contradict what was seen here earlier; the robot may be elsewhere",
     "only {1:.0f} % of the scan fits the map; the map is not updated",

@@ -150,6 +150,7 @@ class Revision:
     placed : (r,) or one for all, whether they are located in the map
     assumed : whether the newest pose is based on odometry alone since the robot got lost
     contradicted : whether what was seen earlier contradicts the newest scans at their poses
+    looks_alike : whether the newest scans also fit other places within the uncertainty
     dropped : keyframes whose scans are removed because they add nothing to those of others
     innovation : of all matches jointly, None if unknown
     """
@@ -166,6 +167,7 @@ class Revision:
     placed: Mask | bool = True
     assumed: bool = False
     contradicted: bool = False
+    looks_alike: bool = False
     dropped: tuple[int, ...] = ()
     innovation: Innovation | None = None
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from impslam.health import (
+    AMBIGUOUS,
     ASSUMED,
     CONTRADICTED,
     DEGRADED,
@@ -212,6 +213,14 @@ def test_a_robot_where_the_map_contradicts_the_scans_is_degraded():
     for contradicted in (False, True, True, False):
         revise(monitor, [4], contradicted=contradicted)
     assert monitor.health.reasons.tolist() == [NONE, CONTRADICTED, CONTRADICTED, NONE]
+    assert monitor.health.states.tolist() == [TRACKING, DEGRADED, DEGRADED, TRACKING]
+
+
+def test_a_place_that_looks_like_others_is_degraded():
+    monitor = HealthMonitor()
+    for looks_alike in (False, True, True, False):
+        revise(monitor, [4], looks_alike=looks_alike)
+    assert monitor.health.reasons.tolist() == [NONE, AMBIGUOUS, AMBIGUOUS, NONE]
     assert monitor.health.states.tolist() == [TRACKING, DEGRADED, DEGRADED, TRACKING]
 
 

@@ -16,6 +16,7 @@ from impslam.errors import NumericalError
 from impslam.estimators.base import MIN_SIGMA, Estimator, check_keyframe, is_finite
 from impslam.estimators.blur import blurred
 from impslam.estimators.duplicates import Duplicates, with_kept_landmark
+from impslam.estimators.look_alikes import MAX_GROWTH, LookAlikes
 from impslam.estimators.map_scale import joint_with_scale, landmark_with_scale, revision_with_scale
 from impslam.estimators.refused_fixes import RefusedFixes
 from impslam.estimators.slip import RECENT, Attempt, explains, slipped
@@ -57,6 +58,7 @@ class Landmarks(Estimator):
     _seen_kinds: set[str] = PrivateAttr(default_factory=set)
     _refused: RefusedFixes = PrivateAttr(default_factory=RefusedFixes)
     _duplicates: Duplicates = PrivateAttr(default_factory=Duplicates)
+    _look_alikes: LookAlikes = PrivateAttr(default_factory=LookAlikes)
     _counts: Counter[str] = PrivateAttr(default_factory=Counter)
     _sightings: SightingsLog = PrivateAttr(default_factory=SightingsLog)
     """The observations of all keyframes, from which `graph` continues the map."""
@@ -66,6 +68,7 @@ class Landmarks(Estimator):
         self._filter, self._association = parts["filter"], parts["association"]
         self._lifecycle, self._models = parts["lifecycle"], parts["models"]
         self._duplicates, self._origin = Duplicates(), pose[:2].copy()
+        self._look_alikes = LookAlikes()
         self._filter.start(pose, MIN_SIGMA**2 * np.eye(3), self._models)
         self._lifecycle.start(self._models, self._association, self._filter.fresh())
 
@@ -91,10 +94,12 @@ class Landmarks(Estimator):
         self._filter.predict(keyframe.motion)
         try:
             choice = self._associate(observations, keyframe.motion)
+            predicted, spread = self._filter.pose.copy(), self._filter.covariance[:2, :2].copy()
             innovation = self._filter.correct(observations, choice.matches)
         except NumericalError:
             self._filter.undo_predict()
             raise
+        self._review_look_alikes(predicted, spread, observations)
         self._recent.append({match.landmark for match in choice.matches})
         self._lifecycle.move(self._motion)
         self._filter.note(observations, choice.matches, stamp)
@@ -139,6 +144,22 @@ class Landmarks(Estimator):
             return attempt.choice
         self._repeat_prediction(motion)
         return rolled.choice
+
+    def _review_look_alikes(
+        self, predicted: Array, spread: Array, observations: tuple[Observation, ...]
+    ) -> None:
+        """Search for places that look the same after an uncertain motion, and tell them apart later.
+
+        `predicted` (3,) and `spread` (2, 2) are the pose and the covariance of the position before the
+        correction.
+        """
+        uncertain = np.trace(self._motion.covariance[:2, :2]) > MAX_GROWTH**2
+        if not uncertain and not self._look_alikes.watching:
+            return
+        landmarks = self._filter.landmarks()
+        if uncertain:
+            self._look_alikes.begin(spread, max((mark.id for mark in landmarks), default=-1))
+        self._look_alikes.review(predicted, self._filter.pose, observations, landmarks)
 
     def _attempt(self, observations: tuple[Observation, ...], motion: Increment) -> Attempt:
         choice = self._filter.associate(observations, self._association)
@@ -204,6 +225,7 @@ class Landmarks(Estimator):
 
     def _revision(self, keyframe: Keyframe, **facts: Any) -> Revision:
         pose, covariance = self._filter.pose[None], self._filter.covariance[None]
+        facts["looks_alike"] = self._look_alikes.exist
         revision = Revision(np.array([keyframe.id]), pose, covariance, **facts)
         return self._with_scale(revision)
 

@@ -10,6 +10,7 @@ from impslam.geometry.kernels import kernel, read_only
 from impslam.geometry.se2 import compose_uncertain
 from impslam.growing import GrowingArray
 from impslam.health import (
+    AMBIGUOUS,
     ASSUMED,
     BLIND,
     CONTRADICTED,
@@ -97,6 +98,8 @@ class HealthMonitor(Observer):
         reason_amount = self._landmarks.revise(keyframe, revision)
         if lost[0] < ELSEWHERE:
             lost[:] = reason_amount
+        if revision.looks_alike and lost[0] < AMBIGUOUS:
+            lost[:] = AMBIGUOUS, 0.0
         if revision.assumed and lost[0] < ASSUMED:
             lost[:] = ASSUMED, 0.0
         if revision.contradicted and lost[0] < CONTRADICTED:

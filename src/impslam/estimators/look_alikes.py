@@ -1,0 +1,204 @@
+"""Other places where the scans fit as well, after the position has become uncertain.
+
+After a gap in the data, association matches a scan with the landmarks of one place, although another one
+that looks the same may be within the uncertainty, such as the next door of a corridor. The covariance of
+the estimate is that of the chosen place. So the other places are searched for, and kept until scans have
+told them apart.
+
+They differ from the estimate by a translation: after a gap, the turn is known from odometry or from the
+walls, the path in between is not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from impslam.geometry.se2 import transform
+from impslam.types import Array, Ints, Landmark, Mask, Observation
+
+MAX_GROWTH = 0.25
+"""m, standard deviation of a motion beyond which landmarks may be confused, 0.5 m apart."""
+MIN_SHIFT = 0.5
+"""m between the estimate and another place; nearer ones are the same landmarks."""
+MAX_DISTANCE2 = 13.8
+"""Squared Mahalanobis distance from the predicted position, with two degrees of freedom: 99.9 %."""
+TOLERANCE = 0.2
+"""m by which landmarks may miss their places elsewhere: errors of the map over a gate of association, and
+less than half of the distance between neighbours."""
+MAX_ANGLE = 0.1
+"""rad between parallel walls."""
+MIN_KEYFRAMES = 3
+"""Keyframes in a row that must fit worse elsewhere: a landmark is missed now and then."""
+
+
+class LookAlikes:
+    """Finds the places that look like that of the estimate, and tells them apart."""
+
+    def __init__(self) -> None:
+        self._shifts, self._worse = np.empty((0, 2)), np.empty(0, np.int64)
+        # if a search is due: covariance of the predicted position, and the correction of it so far
+        self._prior: tuple[Array, Array] | None = None
+        self._newest = -1  # newest landmark when the position became uncertain
+
+    @property
+    def exist(self) -> bool:
+        """Whether scans have not told another place apart yet."""
+        return len(self._shifts) > 0
+
+    @property
+    def watching(self) -> bool:
+        """Whether `review` has anything to do."""
+        return self.exist or self._prior is not None
+
+    def begin(self, spread: Array, newest: int) -> None:
+        """Note that a motion was uncertain; the predicted position has the covariance `spread` (2, 2), m^2.
+
+        `newest` is the newest landmark: later ones are at the place that is chosen now.
+        """
+        if not self.watching:
+            self._newest = newest
+        self._prior = spread.copy(), np.zeros(2)
+
+    def review(
+        self,
+        predicted: Array,
+        pose: Array,
+        observations: Sequence[Observation],
+        landmarks: Sequence[Landmark],
+    ) -> None:
+        """Compare a scan with the landmarks at each place; it is taken from `pose` (3,).
+
+        `predicted` (3,) is the pose before its correction.
+        """
+        known = [mark for mark in landmarks if mark.id <= self._newest]
+        self._compare(pose, observations, known)
+        if self._prior is not None:
+            self._prior[1][:] += pose[:2] - predicted[:2]
+            self._search(*self._prior, pose, observations, known)
+
+    def _compare(
+        self, pose: Array, observations: Sequence[Observation], known: Sequence[Landmark]
+    ) -> None:
+        """Drop the places at which the last scans fit worse than at the estimate."""
+        fits = self._fits(self._shifts, pose, observations, known)
+        self._worse = np.where(fits[1:] < fits[0], self._worse + 1, 0)
+        alike = self._worse < MIN_KEYFRAMES
+        self._shifts, self._worse = self._shifts[alike], self._worse[alike]
+
+    def _search(
+        self,
+        spread: Array,
+        correction: Array,
+        pose: Array,
+        observations: Sequence[Observation],
+        known: Sequence[Landmark],
+    ) -> None:
+        """Find the places within the uncertainty where at most one observation less fits a landmark.
+
+        The search waits for a scan that determines the position along both axes.
+        """
+        shifts = _candidates(pose, observations, known)
+        distance = np.hypot(shifts[:, 0], shifts[:, 1])
+        if not (distance < TOLERANCE).any():
+            return
+        off = shifts + correction
+        near = np.einsum("ni,ni->n", off, np.linalg.solve(spread, off.T).T) < MAX_DISTANCE2
+        elsewhere = shifts[near & (distance >= MIN_SHIFT)]
+        fits = self._fits(elsewhere, pose, observations, known)
+        alike = elsewhere[fits[1:] >= fits[0] - 1]
+        self._shifts = np.concatenate((self._shifts, alike))
+        self._worse = np.concatenate((self._worse, np.zeros(len(alike), np.int64)))
+        self._prior = None
+
+    @staticmethod
+    def _fits(
+        shifts: Array, pose: Array, observations: Sequence[Observation], known: Sequence[Landmark]
+    ) -> Ints:
+        """Return how many observations fit at `pose` (3,) and then at each translation (n, 2)."""
+        places = np.concatenate((np.zeros((1, 2)), shifts))
+        return np.asarray(_explained(places, pose, observations, known).sum(axis=1))
+
+
+def _candidates(
+    pose: Array, observations: Sequence[Observation], known: Sequence[Landmark]
+) -> Array:
+    """Return translations (n, 2) in m that move an observed point or two observed walls to landmarks.
+
+    They are half of `TOLERANCE` apart.
+    """
+    found, lines = [np.empty((0, 2))], [np.empty((0, 3))]
+    for one in observations:
+        same = [mark for mark in known if mark.kind == one.kind]
+        if one.end_points is None:
+            places = np.reshape([mark.position for mark in same], (-1, 2))
+            found.append(places - transform(pose, one.z[:2]))
+        elif same:
+            walls = np.array([mark.end_points for mark in same])
+            lines.append(_lines(transform(pose, one.end_points), walls))
+    found.append(_intersections(np.concatenate(lines)))
+    shifts = np.concatenate(found)
+    cells = np.round(shifts / (0.5 * TOLERANCE))
+    return shifts[np.unique(cells, axis=0, return_index=True)[1]]
+
+
+def _lines(ends: Array, walls: Array) -> Array:
+    """Return the lines (n, 3) of the translations that move a piece (2, 2) to parallel walls (m, 2, 2).
+
+    A line [x, y, d] has the points p with [x, y] . p = d; [x, y] is a unit vector.
+    """
+    normals, piece = _normals(walls), _normals(ends[None])[0]
+    parallel = np.abs(normals @ piece) > np.cos(MAX_ANGLE)
+    off = np.einsum("ni,ni->n", normals, walls[:, 0] - ends.mean(axis=0))
+    return np.asarray(np.column_stack((normals, off))[parallel])
+
+
+def _normals(walls: Array) -> Array:
+    """Return the unit normals (m, 2) of walls (m, 2, 2)."""
+    along = walls[:, 1] - walls[:, 0]
+    length = np.maximum(np.hypot(along[:, 0], along[:, 1]), 1e-9)
+    return np.asarray(np.column_stack((-along[:, 1], along[:, 0])) / length[:, None])
+
+
+def _intersections(lines: Array) -> Array:
+    """Return the intersections (n, 2) of all lines (k, 3) that are at 30 degrees or more to each other."""
+    i, j = np.triu_indices(len(lines), 1)
+    (a, b, c), (d, e, f) = lines[i].T, lines[j].T
+    sine = a * e - b * d
+    cross = np.abs(sine) > 0.5
+    points = np.stack((c * e - b * f, a * f - c * d), axis=1)[cross]
+    return np.asarray(points / sine[cross, None])
+
+
+def _explained(
+    shifts: Array, pose: Array, observations: Sequence[Observation], known: Sequence[Landmark]
+) -> Mask:
+    """Return which observations (n, k) show a landmark from `pose` (3,) plus each translation (n, 2)."""
+    out = np.zeros((len(shifts), len(observations)), np.bool_)
+    for i, one in enumerate(observations):
+        same = [mark for mark in known if mark.kind == one.kind]
+        if not same:
+            continue
+        if one.end_points is None:
+            at = shifts[:, None] + transform(pose, one.z[:2])
+            off = at - np.array([mark.position for mark in same])
+            out[:, i] = (np.hypot(off[..., 0], off[..., 1]) < TOLERANCE).any(axis=1)
+        else:
+            ends = shifts[:, None] + transform(pose, one.end_points)
+            walls = np.array([mark.end_points for mark in same])
+            out[:, i] = _on_walls(ends, walls).any(axis=1)
+    return out
+
+
+def _on_walls(ends: Array, walls: Array) -> Mask:
+    """Return (n, m) whether pieces with ends (n, 2, 2) are on walls with ends (m, 2, 2), all in map."""
+    normals = _normals(walls)
+    off = ends[:, None] - walls[:, None, 0]  # (n, m, 2, 2)
+    beside = np.abs(np.einsum("nmei,mi->nme", off, normals)) < TOLERANCE
+    middle = off.mean(axis=2)
+    along = middle[..., 0] * normals[:, 1] - middle[..., 1] * normals[:, 0]
+    length = np.hypot(*(walls[:, 1] - walls[:, 0]).T)
+    return np.asarray(
+        beside.all(axis=2) & (np.abs(along - 0.5 * length) < 0.5 * length + TOLERANCE)
+    )

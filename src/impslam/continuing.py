@@ -3,12 +3,13 @@
 If the first scans of a log equal the last ones of the map, by stamps and odometry, the map was made from
 this log. These scans are tracked again, which costs little and restores the state of the tracker; the run
 then continues as if it had never stopped, also if its keyframes are others than those of the map. Other
-logs begin a session, which must be located in the map.
+logs begin a session, which must be located in the map. Until the robot has moved, the scans of any two
+logs of a simulator are equal in this sense, so they are held back and not dropped.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -43,6 +44,10 @@ ODOMETRY_TOLERANCE = 1e-3
 """m and rad; dead reckoning of the same readings differs by rounding, of two drives by far more. Stamps
 alone do not identify a log: simulators begin at the same stamp, and clocks of robots at their start."""
 
+CONCLUSIVE = 1.0
+"""m or rad; two drives that began at the same stamps differ by more than `ODOMETRY_TOLERANCE` after this
+motion: wheels repeat a metre to no better than some millimetres."""
+
 _ROWS = (
     "stamps", "T_anchor_base", "covariance", "odometry", "located", "reasons", "amounts",
 )  # fmt: skip
@@ -58,6 +63,8 @@ class Continuation:
         self._stamps, self._odometry = np.empty(0), np.empty((0, 3))  # scans of that log in the map
         self._start: Array | None = None  # odometry of the first scan of this run's log
         self._count = 0  # scans that are in the map already
+        self._enough = 1  # of them, those that cover conclusive motion
+        self._held: list[Track] = []  # their tracks, until the motion is conclusive
         self._is_same_log = False
         self._awaits_keyframe = False  # the first one of a new session
         self._map = None if known is None else known.map
@@ -76,6 +83,8 @@ class Continuation:
             self._stamps = known.stamps[begin:]
             odometry = known.odometry_poses[begin:]
             self._odometry = between(odometry[0], odometry)
+            is_far = (np.abs(self._odometry) > CONCLUSIVE).any(axis=1)
+            self._enough = int(np.argmax(is_far)) + 1 if is_far.any() else scans + 1
 
     def logs(self, outcome: Outcome, scans: int) -> list[dict[str, Any]]:
         """Return the logs of the map, each with the number of its scans in the map; `scans` are new."""
@@ -98,12 +107,15 @@ class Continuation:
     def unused(self) -> int:
         """Number of first scans of another log that are not used, because they equal those of the map.
 
-        0 if the robot did not move during these scans: at rest the odometry of any two drives is equal.
+        0 if the robot moved too little during these scans to tell two logs apart: then they are used.
         """
-        if self._is_same_log or self._id_shift is None:
-            return 0
-        has_moved = bool((np.abs(self._odometry[: self._count]) > ODOMETRY_TOLERANCE).any())
-        return self._count if has_moved else 0
+        is_other_log = self._id_shift is not None and not self._is_same_log
+        return self._count if is_other_log and self._is_conclusive else 0
+
+    @property
+    def _is_conclusive(self) -> bool:
+        """Whether the robot has moved enough during the scans in the map to identify the log."""
+        return self._count >= self._enough
 
     @property
     def refusal(self) -> str:
@@ -114,17 +126,34 @@ class Continuation:
             return "it has no keyframe after the scans that are in the map already"
         return ""
 
-    def new_part(self, track: Track) -> Track | None:
-        """Return the new part of a track, or None."""
+    def new_parts(self, track: Track) -> Iterator[Track]:
+        """Yield the new part of a track, after the tracks that were held back before it."""
         begin = 0
         if self._id_shift is None:
             begin = self._repeated(track)
+            if self._is_conclusive:
+                self._held.clear()
             if begin == len(track.stamps) + (track.keyframe is not None):
-                if track.keyframe is not None:
-                    self._newest = self._count - 1, track.keyframe.T_keyframe_stamp
-                return None
-            self._decide(track.anchor + 1)
-        return self._numbered(track, begin)
+                self._hold(track)
+                return
+            self._is_same_log = 0 < self._count == len(self._stamps)
+            if self._is_same_log:
+                self._held.clear()
+            elif not self._is_conclusive:
+                begin = 0
+            self._decide((self._held or [track])[0].anchor + 1)
+        for one, rows in [*((held, 0) for held in self._held), (track, begin)]:
+            part = self._numbered(one, rows)
+            if part is not None:
+                yield part
+        self._held.clear()
+
+    def _hold(self, track: Track) -> None:
+        """Hold back a track whose scans are all in the map already, unless that is conclusive."""
+        if track.keyframe is not None:
+            self._newest = self._count - 1, track.keyframe.T_keyframe_stamp
+        if not self._is_conclusive:
+            self._held.append(track)
 
     def _repeated(self, track: Track) -> int:
         """Return how many of the first scans of a track are in the map already."""
@@ -146,9 +175,8 @@ class Continuation:
         return count
 
     def _decide(self, keyframes: int) -> None:
-        """Decide whether the log is the map's own, after its first `keyframes` keyframes."""
+        """Continue the map's ids after the first `keyframes` keyframes, which are in the map already."""
         self._id_shift = self._next_id - keyframes
-        self._is_same_log = 0 < self._count == len(self._stamps)
         self._awaits_keyframe = not self._is_same_log
         if self._is_same_log and self._map is not None and self._newest is not None:
             self._T_known_newest = _from_newest(self._map, len(self._stamps), *self._newest)

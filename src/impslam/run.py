@@ -179,12 +179,10 @@ class Run:
             for motions, sweeps in sensed:
                 tracks = self.tracker.follow(motions, sweeps, self.robot.systematic(sweeps))
                 for tracked in self.clock.each("track", tracks):
-                    track = self._continuation.new_part(tracked)
-                    if track is None:
-                        continue
-                    self._follow(track)
-                    if track.keyframe is not None:
-                        self._revise(self._observe(track.keyframe))
+                    for track in self._continuation.new_parts(tracked):
+                        self._follow(track)
+                        if track.keyframe is not None:
+                            self._revise(self._observe(track.keyframe))
 
     def _follow(self, track: Track) -> None:
         if len(track.stamps):

@@ -18,7 +18,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from impslam.cli.app import COMMANDS
+from impslam.cli.commands import COMMANDS
 
 SCANS, WIDTH, LENGTH = 27, 6.0, 8.0
 KEPT = ("PATH", "PYTHONPATH", "HOME")

@@ -5,7 +5,8 @@ import shlex
 
 import pytest
 
-from impslam.cli.app import COMMANDS, make_app
+from impslam.cli.app import make_app
+from impslam.cli.commands import COMMANDS
 from impslam.cli.map import COMMANDS as MAP_COMMANDS
 
 WORDS = [

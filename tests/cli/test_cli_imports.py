@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from impslam.cli.app import COMMANDS
+from impslam.cli.commands import COMMANDS
 from impslam.cli.map import COMMANDS as MAP_COMMANDS
 
 CODE = (

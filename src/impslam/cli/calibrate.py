@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from impslam.cli import console
+from impslam.cli.calibration_table import show_calibration
 from impslam.cli.console import Columns, Common, ConfigName, Output, Repeatable, Settings, Topics
 from impslam.cli.progress import display
 from impslam.errors import ConfigError
@@ -18,19 +19,6 @@ if TYPE_CHECKING:
     from impslam.calibration.calibrate import Calibration
     from impslam.calibration.residuals import CalibrationDrive
     from impslam.config import Config
-
-MIN_FITTING_SHARE = 0.9
-"""Share of motions that fit at least if the wheels hardly slip."""
-ADVICE = {
-    "x": "drive turns to both sides",
-    "y": "drive turns to both sides",
-    "yaw": "drive straight stretches",
-    "track": "drive turns to both sides",
-    "turn_scale": "drive turns to both sides",
-    "latency": "change speed and turn rate often",
-    "range_offset": "pass walls at an angle",
-}
-"""How to make each parameter observable."""
 
 
 def calibrate(  # noqa: PLR0913  # each is an option that a user may give
@@ -105,7 +93,7 @@ def _calibrate(  # see `calibrate`
     chosen, drives = _read(logs, config, settings, quiet)
     found = solve(chosen, drives, keep)
     if not quiet:
-        _show(found, keep)
+        show_calibration(found, keep)
     if json is not None:
         write_json(json, _numbers(found))
     if output is not None:
@@ -149,52 +137,6 @@ def _read(
             f"{logs[0]} and others have different kinds of odometry; calibrate each kind separately"
         )
     return configs[0], drives
-
-
-def _show(found: Calibration, keep: Sequence[str]) -> None:
-    """Print the parameters and the noise."""
-    motions = sum(len(kept) for kept in found.solution.kept)
-    fit = sum(int(kept.sum()) for kept in found.solution.kept)
-    console.echo(f"{fit} of {motions} lidar motions fit")
-    if fit < MIN_FITTING_SHARE * motions:
-        console.echo(
-            "the others do not: wheels slip, or stamps jitter; keep the parameters that you have "
-            "measured, e.g. --keep x --keep y --keep yaw --keep latency"
-        )
-    header = ("parameter", "unit", "observable", "config", "found", "std")
-    console.show_table(header, list(_rows(found, keep)), numbers=3)
-    noise = [(s.name, s.unit, *_rounded(s.sigma, s.value, s.sigma)) for s in found.random_errors]
-    console.show_table(("random error", "unit", "found", "std"), noise, numbers=2)
-    for gyro in {drive.gyro for drive in found.drives if drive.gyro is not None}:
-        bias = " ± ".join(_rounded(gyro.bias_sigma, gyro.bias, gyro.bias_sigma))
-        scale = " ± ".join(_rounded(gyro.scale_sigma, gyro.scale, gyro.scale_sigma))
-        console.echo(f"gyro: bias {bias} rad/s, true / measured rate {scale}")
-
-
-def _rows(found: Calibration, keep: Sequence[str]) -> Iterator[tuple[str, ...]]:
-    from impslam.calibration.calibrate import LENGTHS
-    from impslam.calibration.order_clock import MAX_DISORDER
-
-    lengths = (f"--keep {one.name}" for one in found.parameters if one.name in LENGTHS)
-    back = max(drive.disorder for drive in found.drives)
-    scale = f"not separable from the robot's lengths: {' or '.join(lengths)}"
-    advice = {**ADVICE, "range_scale": scale}
-    if back > MAX_DISORDER:
-        advice["latency"] = f"stamps run back by {back:.2f} s"
-    for one in found.parameters:
-        if one.observable:
-            yield one.name, one.unit, "yes", *_rounded(one.sigma, one.before, one.value, one.sigma)
-        else:
-            why = "kept" if one.name in keep else f"no: {advice.get(one.name, 'drive more')}"
-            yield one.name, one.unit, why, f"{one.before:g}", "", ""
-
-
-def _rounded(sigma: float, *values: float) -> tuple[str, ...]:
-    """Return values rounded to two digits of their standard deviation."""
-    import math
-
-    digits = 6 if not 0.0 < sigma < math.inf else max(0, 1 - math.floor(math.log10(sigma)))
-    return tuple(f"{value:.{digits}f}" for value in values)
 
 
 def _base(log: Path, config: str | None) -> str | None:

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Mapping, Sequence
 from typing import Literal, NamedTuple, TypeAlias
 
-import numpy as np
-
 from impslam.component import near_miss
 from impslam.errors import MessageError
-from impslam.sources.text import beam_angles
+from impslam.sources.csv_cells import UNITS, CsvCells, directions, find_beams, is_extra
 from impslam.types import Array
 
 Role: TypeAlias = Literal[
@@ -43,11 +40,6 @@ STAMP_PAIR: dict[Role, tuple[str, ...]] = {
     "nanosec": ("nanosec", "nsecs", "nsec", "stamp_nanosec", "stamp_nsecs", "stamp_nsec"),
 }
 """Names of whole seconds and the ns after them, as in `builtin_interfaces/Time` of ROS."""
-UNITS = {
-    "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "m": 1.0, "cm": 1e-2, "mm": 1e-3,
-    "rad": 1.0, "deg": math.pi / 180.0,
-    "m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "rad/s": 1.0, "deg/s": math.pi / 180.0,
-}  # fmt: skip
 _BRACKETED = re.compile(r"\s*[\[(]([^\])]*)[\])]$")
 MOTIONS: tuple[tuple[Role, ...], ...] = (
     ("x", "y", "theta"),
@@ -58,18 +50,6 @@ MOTIONS: tuple[tuple[Role, ...], ...] = (
 ECHO = "field."
 """How the names of `rostopic echo -p` begin, except that of the first column, %time; both are in ns."""
 MAX_SHOWN = 8  # maximum number of columns that a message names
-MIN_BEAMS = 3  # minimum number of consecutively numbered columns to recognise them as beams
-
-EXTRAS = ("covariance", "intensit")
-"""Parts of the names of other columns, often numbered ones, in what `rostopic echo` writes."""
-
-
-class CsvCells(NamedTuple):
-    """Columns first to last - 1, and the factor that converts their numbers to m, s or rad."""
-
-    first: int
-    last: int
-    factor: float
 
 
 class CsvLayout(NamedTuple):
@@ -80,7 +60,7 @@ class CsvLayout(NamedTuple):
     cells : the columns by role
     motion : the roles that are odometry; empty if there is none
     angles : (n,) rad, of the beams; None if each row contains them, or if there are no ranges
-    unread : the names of the columns without a role, except `EXTRAS`
+    unread : the names of the columns without a role, except `csv_cells.EXTRAS`
     """
 
     cells: Mapping[Role, CsvCells]
@@ -121,7 +101,7 @@ def layout(
         cells |= {role: one for role, one in pair.items() if one}
     if "nanosec" in cells:
         cells["nanosec"] = cells["nanosec"]._replace(factor=UNITS["ns"])
-    if "ranges" not in cells and (beams := _beams(header)):
+    if "ranges" not in cells and (beams := find_beams(header)):
         cells["ranges"] = beams
     motion = next((roles for roles in MOTIONS if all(role in cells for role in roles)), ())
     is_echo = any(name.startswith(ECHO) for name in header)
@@ -134,8 +114,23 @@ def layout(
             )
     if is_echo and cells["stamp"].factor == 1.0:
         cells["stamp"] = cells["stamp"]._replace(factor=UNITS["ns"])
-    angles = _angles(header if named else (), cells, start, step) if "ranges" in cells else None
+    angles = _directions(header, cells, start, step, named=named) if "ranges" in cells else None
     return CsvLayout(cells, motion, angles, _unread(header, cells, motion))
+
+
+def _directions(
+    header: Sequence[str], cells: Mapping[Role, CsvCells], start: float, step: float, *, named: bool
+) -> Array | None:
+    """Return the directions (n,) rad of the beams, or None if each row contains them."""
+    first, last, _ = cells["ranges"]
+    names = header[first:last] if named else [""] * (last - first)
+    angles = directions(names, start, step)
+    if angles is None and not ("angle_min" in cells and "angle_step" in cells):
+        raise MessageError(
+            "the directions of the beams are unknown: give --set source.angle_min=RAD (of the first "
+            "beam) and --set source.angle_step=RAD (from beam to beam, counter-clockwise)"
+        )
+    return angles
 
 
 def _unread(
@@ -144,7 +139,7 @@ def _unread(
     """Return the names of columns that are not read; those of incomplete odometry are not."""
     incomplete = {role for roles in MOTIONS for role in roles} - set(motion)
     used = {k for role, (a, b, _) in cells.items() if role not in incomplete for k in range(a, b)}
-    return tuple(name for k, name in enumerate(header) if k not in used and not _is_extra(name))
+    return tuple(name for k, name in enumerate(header) if k not in used and not is_extra(name))
 
 
 def shorten(columns: Sequence[str]) -> str:
@@ -185,57 +180,3 @@ def _find_by_name(plain: Sequence[str], names: Sequence[str]) -> CsvCells | None
             if stem.endswith(f".{name}") and unit in UNITS:
                 return CsvCells(k, k + 1, UNITS[unit])
     return None
-
-
-def _beams(header: Sequence[str]) -> CsvCells | None:
-    """Return the longest run of columns whose names are numbers, or one name with a number after it."""
-    stems = [_stem(name) for name in header]
-    best, k = (0, 0), 0
-    while k < len(stems):
-        end = k
-        while end < len(stems) and stems[end] is not None and stems[end] == stems[k]:
-            end += 1
-        best, k = max(best, (end - k, -k)), max(end, k + 1)
-    count, first = best[0], -best[1]
-    if count < MIN_BEAMS:
-        return None
-    unit = (stems[first] or "").strip("_[").rpartition("_")[2]
-    return CsvCells(first, first + count, UNITS.get(unit, 1.0))
-
-
-def _stem(name: str) -> str | None:
-    if _number(name) is not None:
-        return ""
-    found = re.fullmatch(r"(.*[^\d])\d+\]?", name)
-    if found is None or _is_extra(found[1]):
-        return None
-    return found[1]
-
-
-def _is_extra(name: str) -> bool:
-    return any(other in name.lower() for other in EXTRAS)
-
-
-def _number(name: str) -> float | None:
-    try:
-        value = float(name)
-    except ValueError:
-        return None
-    return value if math.isfinite(value) else None
-
-
-def _angles(
-    header: Sequence[str], cells: Mapping[Role, CsvCells], start: float, step: float
-) -> Array | None:
-    beams = cells["ranges"]
-    if math.isfinite(start) and math.isfinite(step):
-        return beam_angles(beams.last - beams.first, start, step)
-    degrees = [_number(name) for name in header[beams.first : beams.last]]
-    if degrees and None not in degrees:
-        return np.radians(np.array(degrees, np.float64))
-    if "angle_min" in cells and "angle_step" in cells:
-        return None
-    raise MessageError(
-        "the directions of the beams are unknown: give --set source.angle_min=RAD (of the first beam) "
-        "and --set source.angle_step=RAD (from beam to beam, counter-clockwise)"
-    )

@@ -11,22 +11,21 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import ClassVar, Self
 
-import numpy as np
 from pydantic import PrivateAttr
 
 from impslam.component import parameter, register
 from impslam.errors import MessageError, SourceError
 from impslam.sources.base import Stream
+from impslam.sources.csv_cells import CsvCells
 from impslam.sources.csv_columns import (
     ECHO,
     MOTIONS,
-    STAMP_PAIR,
-    CsvCells,
     CsvLayout,
     Role,
     layout,
     shorten,
 )
+from impslam.sources.csv_rows import odometry, odometry_kind, scan, stamp_of, unit_of
 from impslam.sources.csv_text import (
     MIN_COLUMNS,
     is_spaced,
@@ -37,21 +36,14 @@ from impslam.sources.csv_text import (
     trim,
 )
 from impslam.sources.parts import LocatedMessage
-from impslam.sources.text import TextSource, beam_angles, beam_times, check_finite
-from impslam.sources.transforms import yaw_of
+from impslam.sources.text import TextSource
 from impslam.types import (
-    Array,
     LaserScan,
     Message,
     OdometryPose,
     Velocity,
     WheelAngles,
-    range_limits,
 )
-
-EPOCHS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))
-"""Stamps above which the unit is ns, us or ms since 1970; in s, 1e11 would be the year 5138."""
-
 
 STREAMS: dict[type[Message], str] = {
     LaserScan: "ranges",
@@ -112,7 +104,7 @@ class CsvLog(TextSource):
 
     def kinds(self) -> frozenset[type[Message]]:
         """Return scans, and the kind of odometry in the columns."""
-        motion = self._motion()
+        motion = odometry_kind(self._columns())
         scans = {LaserScan} if self._columns().has_ranges else set()
         return frozenset(scans if motion is None else {*scans, motion})
 
@@ -156,15 +148,6 @@ class CsvLog(TextSource):
                 raise SourceError(f"{self.path}: {error}") from None
         return self._layout
 
-    def _motion(self) -> type[Message] | None:
-        kinds: dict[str, type[Message]] = {
-            "x": OdometryPose,
-            "left": WheelAngles,
-            "speed": Velocity,
-        }
-        motion = self._columns().motion
-        return kinds[motion[0]] if motion else None
-
     def _messages(self) -> Iterator[LocatedMessage]:
         """Yield the odometry of a row before its scan."""
         found, width, unit = self._columns(), len(self._header), 0.0
@@ -175,12 +158,9 @@ class CsvLog(TextSource):
                 continue
             try:
                 values = numbers(split(text, self._mark), used, width)
-                parts = [found.cells[role] for role in STAMP_PAIR if role in found.cells]
-                stamp = sum(_value(values, part) for part in parts)
-                check_finite("the stamp", stamp)
-                unit = unit or next((factor for low, factor in EPOCHS if abs(stamp) > low), 1.0)
-                motion = self._odometry(values, found, stamp * unit)
-                row = [*motion, *_scan(values, found, stamp * unit)]
+                stamp = stamp_of(values, found)
+                unit = unit or unit_of(stamp)
+                row = [*odometry(values, found, unit * stamp), *scan(values, found, unit * stamp)]
             except (ValueError, MessageError) as error:
                 self._reject("row", self.path, number, error)
                 continue
@@ -188,47 +168,7 @@ class CsvLog(TextSource):
                 stream = STREAMS[type(message)]
                 yield LocatedMessage(message, number, stream, checked=k == len(row) - 1)
 
-    def _odometry(self, values: Array, found: CsvLayout, stamp: float) -> Iterator[Message]:
-        """Yield the odometry of a row, unless its cells are empty."""
-        cells = [_value(values, found.cells[role]) for role in found.motion]
-        if not cells or all(map(math.isnan, cells)):
-            return
-        check_finite("odometry", *cells)
-        kind = self._motion()
-        if kind is OdometryPose:
-            x, y, *turn = cells
-            yaw = turn[0] if len(turn) == 1 else yaw_of(*turn)
-            yield OdometryPose(stamp, np.array([x, y, yaw]))
-        elif kind is WheelAngles:
-            yield WheelAngles(stamp, *cells)
-        else:
-            yield Velocity(stamp, *cells)
-
 
 def _starts_with_utf16(path: Path) -> bool:
     with path.open("rb") as file:
         return file.read(2) in (b"\xff\xfe", b"\xfe\xff")
-
-
-def _scan(values: Array, found: CsvLayout, stamp: float) -> Iterator[LaserScan]:
-    """Yield the scan of a row, unless its cells are empty."""
-    if not found.has_ranges:
-        return
-    beams = found.cells["ranges"]
-    ranges = beams.factor * values[beams.first : beams.last]
-    if np.isnan(ranges).all():
-        return
-    angles = found.angles
-    if angles is None:
-        start, step = (_value(values, found.cells[role]) for role in ("angle_min", "angle_step"))
-        check_finite("angle_min or angle_step", start, step)
-        angles = beam_angles(len(ranges), start, step)
-    low, high = (
-        _value(values, found.cells[role]) if role in found.cells else math.nan
-        for role in ("range_min", "range_max")
-    )
-    yield LaserScan(stamp, angles, ranges, beam_times(len(ranges)), *range_limits(low, high))
-
-
-def _value(values: Array, cells: CsvCells) -> float:
-    return cells.factor * float(values[cells.first])

@@ -6,7 +6,6 @@ slices, so that each reading is of the time at which the device would have taken
 
 from __future__ import annotations
 
-import logging
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -28,17 +27,14 @@ from impslam.platform.virtual.faults import (
     Stall,
     Unplug,
 )
+from impslam.platform.virtual.lateness import LatenessLog
 from impslam.platform.virtual.line import Line
 from impslam.platform.virtual.urg import UrgEmulator
 from impslam.simulation.body import Body
 from impslam.types import Array
 
-log = logging.getLogger(__name__)
-
 PERIOD = 1e-3  # s between passes
 SLICE = 5e-3  # s advanced at once: half the period of the fastest device, 100 Hz
-MAX_LATENESS = 20e-3  # s, then a pass counts as late: two readings of the fastest device
-MAX_PASSES = 10_000  # lateness kept: 10 s
 MAX_COMMANDS = 1000  # changes of the commanded speeds kept
 
 
@@ -65,8 +61,7 @@ class VirtualImp:
         self._commands: deque[tuple[float, float, float]] = deque(maxlen=MAX_COMMANDS)
         self._last_command = body.commanded
         self._origin, self._now = time.monotonic(), body.time
-        self._lateness = np.zeros(MAX_PASSES)
-        self._passes = self._late = 0
+        self._lateness = LatenessLog()
 
     def add_camera(self, camera: CameraEmulator) -> None:
         """Serve a camera, which has its own server instead of a line."""
@@ -85,7 +80,7 @@ class VirtualImp:
         self._origin = due - self.body.time
         while not stop():
             late = time.monotonic() - due
-            self._record_lateness(late)
+            self._lateness.add(late)
             self.step(time.monotonic() - self._origin)
             serve()
             # Missed passes are skipped; `step` catches up in slices.
@@ -129,19 +124,6 @@ class VirtualImp:
         if isinstance(autopilot, AutopilotEmulator):
             return np.array(autopilot.commanded)
         return self.body.commanded
-
-    def _record_lateness(self, lateness: float) -> None:
-        self._lateness[self._passes % MAX_PASSES] = lateness
-        self._passes += 1
-        if lateness > MAX_LATENESS:
-            self._late += 1
-            log.log(
-                logging.WARNING if self._late in (100, 1000) else logging.DEBUG,
-                "the virtual robot was late %d times by now, just now by %.0f ms: this computer is "
-                "busy; it catches up",
-                self._late,
-                1e3 * lateness,
-            )
 
     # ------------------------------------------------------------------ from outside
 
@@ -220,13 +202,9 @@ class VirtualImp:
 
     def status(self) -> dict[str, Any]:
         """Return lateness and CPU time, s, and the counters of the lines."""
-        kept = self._lateness[: max(1, min(self._passes, MAX_PASSES))]
-        p50, p99 = np.percentile(kept, (50, 99)).tolist()
         return {
-            "passes": self._passes,
-            "late": self._late,
+            **self._lateness.summary(),
             "cpu": time.process_time(),
-            "lateness": {"p50": p50, "p99": p99, "max": float(kept.max())},
             "lines": {name: dict(line.counts) for name, line in self._lines.items()},
         }
 

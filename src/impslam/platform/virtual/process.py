@@ -1,19 +1,10 @@
-"""The virtual IMP in a process of its own, so that its load does not affect the host's process.
-
-`python -m impslam.platform.virtual.process` reads a `Setup` from the first line of its standard input,
-then requests (`control`), and answers on its standard output. It ends when its input does, so that it
-cannot outlive the process that started it, even if that is killed.
-"""
+"""The virtual IMP in a process of its own (`server`), so that its load does not affect the host's."""
 
 from __future__ import annotations
 
 import contextlib
-import gc
 import json
-import logging
-import os
 import queue
-import signal
 import subprocess
 import sys
 import tempfile
@@ -21,12 +12,10 @@ import threading
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import IO, Any, Self
+from typing import Any, Self
 
 from impslam.errors import ImpError
-from impslam.platform.virtual.assembly import Setup, assemble
-from impslam.platform.virtual.control import answer
-from impslam.platform.virtual.imp import PERIOD, VirtualImp
+from impslam.platform.virtual.assembly import Setup
 from impslam.platform.virtual.rplidar import A1
 from impslam.simulation.world import World, load_world
 
@@ -91,7 +80,7 @@ class VirtualRobot:
         setup = self._setup.model_copy(update={"folder": Path(self._folder.name)})
         self._answers, self._unanswered = queue.SimpleQueue(), 0
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "impslam.platform.virtual.process"],
+            [sys.executable, "-m", "impslam.platform.virtual.server"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
@@ -188,79 +177,3 @@ def _end(process: subprocess.Popen[str]) -> None:
     except subprocess.TimeoutExpired:
         process.kill()
         process.wait()
-
-
-# ---------------------------------------------------------------------- within the process
-
-
-class _Server:
-    """Reads requests in a thread, answers them in the loop that moves the robot."""
-
-    def __init__(self, source: IO[str], sink: IO[str]) -> None:
-        self._source, self._sink = source, sink
-        self._requests: queue.SimpleQueue[str] = queue.SimpleQueue()
-        self._parent = os.getppid()
-        self._stopped = False
-
-    @property
-    def ended(self) -> bool:
-        """Whether it must stop, or its parent process has died.
-
-        The end of the input indicates the latter too, unless another process has inherited its pipe.
-        """
-        return self._stopped or os.getppid() != self._parent
-
-    def start(self) -> None:
-        threading.Thread(target=self._listen, daemon=True).start()
-
-    def stop(self, *_: object) -> None:
-        self._stopped = True
-
-    def _listen(self) -> None:
-        for line in self._source:
-            self._requests.put(line)
-        self.stop()
-
-    def serve(self, imp: VirtualImp) -> None:
-        """Answer pending requests; does not block."""
-        while not self._requests.empty():
-            self.send(answer(imp, self._requests.get()))
-
-    def send(self, line: str) -> None:
-        try:
-            self._sink.write(line + "\n")
-            self._sink.flush()
-        except OSError:  # the reader has gone
-            self.stop()
-
-
-def main() -> int:
-    """Run a virtual IMP until standard input ends."""
-    logging.basicConfig(format="imp: %(message)s")
-    sink = os.fdopen(os.dup(1), "w")  # other output must not mix with answers
-    os.dup2(2, 1)
-    server = _Server(sys.stdin, sink)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C ends the parent, which then ends this
-    signal.signal(signal.SIGTERM, server.stop)
-    try:
-        setup = Setup.model_validate(json.loads(sys.stdin.readline()))
-        imp = assemble(setup)
-    except (ImpError, ValueError) as error:
-        server.send(json.dumps({"error": " ".join(str(error).split())}))
-        return 2
-    server.start()
-    server.send(json.dumps(imp.ports()))
-    sys.setswitchinterval(PERIOD / 2)  # the camera's threads must not delay the loop for long
-    gc.collect()
-    gc.freeze()  # loaded modules stay; later collections over them would take 50 ms
-    try:
-        imp.run(lambda: server.ended, lambda: server.serve(imp))
-    finally:
-        imp.close()
-        with contextlib.suppress(OSError):  # other files in it may remain
-            setup.folder.rmdir()
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -15,21 +15,10 @@ from impslam.geometry.se2 import between, compose, inverse, transform
 from impslam.simulation.scene import Scene
 from impslam.simulation.world import load_world
 from impslam.studies.chapter4 import WORLDS, figures
-from impslam.studies.chapter4_hough import accumulator, hough_figure, peak, pixels
-from impslam.studies.chapter4_plot import (
-    SPURIOUS,
-    TRUE,
-    jumps_figure,
-    people_figure,
-    scan_figure,
-)
-from impslam.studies.chapter4_scans import (
-    ARENA,
+from impslam.studies.chapter4_detections import (
     MAX_DISTANCE,
     MAX_TURN,
-    PEOPLE,
     Detections,
-    SceneSnapshot,
     ThesisExtractors,
     detect,
     doubles,
@@ -38,9 +27,22 @@ from impslam.studies.chapter4_scans import (
     long_ones,
     on_people,
     rates,
+    true_thing,
+)
+from impslam.studies.chapter4_hough import accumulator, hough_figure, peak, pixels
+from impslam.studies.chapter4_jumps import jumps_figure
+from impslam.studies.chapter4_plot import (
+    SPURIOUS,
+    TRUE,
+    people_figure,
+    scan_figure,
+)
+from impslam.studies.chapter4_scans import (
+    ARENA,
+    PEOPLE,
+    SceneSnapshot,
     select_walls,
     snapshots,
-    true_thing,
     world_of,
 )
 from impslam.studies.report import Section

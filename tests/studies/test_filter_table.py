@@ -12,7 +12,8 @@ from impslam.studies import filter_table
 from impslam.studies.circle_simulation import HUANG, simulate
 from impslam.studies.filter_consistency import BATCH
 from impslam.studies.filter_plot import draw_nees
-from impslam.studies.filter_table import FILTERS, KNOWN, circle_row, installed, score_filters
+from impslam.studies.filter_scores import score_filters
+from impslam.studies.filter_table import FILTERS, KNOWN, circle_row, installed
 
 SHORT = replace(HUANG, steps=85)
 

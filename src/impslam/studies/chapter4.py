@@ -10,14 +10,9 @@ from matplotlib.figure import Figure
 
 from impslam.evaluation.plots import as_png
 from impslam.studies import chapter4_plot as plot
-from impslam.studies.chapter4_hough import POOL, hough_figure
-from impslam.studies.chapter4_scans import (
-    ARENA,
-    CLEAR,
-    CORRIDOR,
+from impslam.studies.chapter4_detections import (
     LONG,
     MAX_DISTANCE,
-    PEOPLE,
     Detections,
     FoundByExtractor,
     ThesisExtractors,
@@ -27,9 +22,10 @@ from impslam.studies.chapter4_scans import (
     long_ones,
     on_people,
     rates,
-    snapshots,
-    world_of,
 )
+from impslam.studies.chapter4_hough import POOL, hough_figure
+from impslam.studies.chapter4_jumps import jumps_figure
+from impslam.studies.chapter4_scans import ARENA, CLEAR, CORRIDOR, PEOPLE, snapshots, world_of
 from impslam.studies.report import Picture, Section, load_text
 from impslam.sweeps.job import Job
 
@@ -137,7 +133,7 @@ def _pictures(
 
     def draw_jumps(shown: Detections) -> Figure:
         seen = jumps(shown.snapshot.scan, jump.threshold)
-        return plot.jumps_figure(shown, seen, jump.threshold, jump.radius)
+        return jumps_figure(shown, seen, jump.threshold, jump.radius)
 
     draw: dict[str, Callable[[Detections], Figure]] = {
         "jumps": draw_jumps,

@@ -18,8 +18,8 @@ from impslam.evaluation.colours import INK, PALE
 from impslam.evaluation.plots import new_figure
 from impslam.extractors.hough import Hough
 from impslam.extractors.readings import usable
+from impslam.studies.chapter4_detections import Detections
 from impslam.studies.chapter4_plot import LEGEND, SPURIOUS, TRUE, WIDTH
-from impslam.studies.chapter4_scans import Detections
 from impslam.types import Array, Observation
 
 BOW = "#f2a03d"

@@ -1,4 +1,4 @@
-"""Figures of Chapter IV: ranges and their derivative, scans from above.
+"""Figures of Chapter IV: scans from above.
 
 Importing this module imports matplotlib (0.3 s); import it only to draw.
 """
@@ -14,12 +14,13 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch, Polygon, Wedge
 
-from impslam.evaluation.colours import INK, PALE
+from impslam.evaluation.colours import INK
 from impslam.evaluation.plots import new_figure, quiet
 from impslam.extractors.readings import usable
 from impslam.geometry.se2 import compose, transform
 from impslam.simulation.camera import SceneCamera
-from impslam.studies.chapter4_scans import Detections, Jumps, SceneSnapshot
+from impslam.studies.chapter4_detections import Detections
+from impslam.studies.chapter4_scans import SceneSnapshot
 from impslam.studies.map_plot import GROUND, draw_scene
 from impslam.types import Array, Observation
 
@@ -33,90 +34,31 @@ PNG: dict[str, Any] = {"dpi": 150, "bbox_inches": "tight", "pad_inches": 0.1}
 ROBOT = 0.25  # m, radius of the robot's outline
 
 
-# --------------------------------------------------------------------------- range and derivative
-
-
-def jumps_figure(detections: Detections, seen: Jumps, threshold: float, radius: float) -> Figure:
-    """Draw the scan from above, its ranges, and their derivative with the jumps (Fig. 11)."""
-    figure = new_figure(WIDTH + 1.4, 6.4)
-    panels: Any = figure.subfigures(1, 2, width_ratios=(1.0, 2.2))
-    above, right = panels
-    _scan(above.subplots(), detections, _bounds(detections.snapshot), radius)
-    _legend(above, detections, 2)
-    ranges, slopes = right.subplots(2, 1, sharex=True)
-    degrees = np.degrees(seen.angles)
-    echo = seen.ranges > 0.0
-    ranges.plot(degrees[echo], seen.ranges[echo], ".", ms=2.5, color=READING, label="range")
-    if not echo.all():
-        options: dict[str, Any] = {"ms": 5, "color": SPURIOUS, "label": "no echo: 0"}
-        ranges.plot(degrees[~echo], seen.ranges[~echo], "x", **options)
-    _objects(ranges, slopes, detections, seen)
-    _slopes(slopes, seen, threshold)
-    ranges.set_ylabel("range in m")
-    slopes.set(ylabel="d range / d angle in m/rad", xlabel="angle of the beam in degrees")
-    for axes in (ranges, slopes):
-        axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4, **LEGEND)
-        quiet(axes)
-    return figure
-
-
-def _objects(ranges: Axes, slopes: Axes, detections: Detections, seen: Jumps) -> None:
-    """Shade the objects that were accepted as cylinders, and the rejected ones."""
-    begins = {int(o.beams[0]) for o in (*detections.true, *detections.spurious)}
-    labels = {True: "taken for a cylinder", False: "dropped: no range in the middle"}
-    for begin, end in seen.objects:
-        taken = int(begin) in begins
-        span = np.degrees(seen.angles[[begin, end]]) + np.array([-0.4, 0.4])
-        options: dict[str, Any] = {"color": TRUE if taken else SPURIOUS, "alpha": 0.16, "lw": 0}
-        ranges.axvspan(*span, label=labels.pop(taken, None), **options)
-        slopes.axvspan(*span, **options)
-
-
-def _slopes(axes: Axes, seen: Jumps, threshold: float) -> None:
-    degrees = np.degrees(seen.between)
-    axes.plot(degrees, seen.slopes, color=READING, lw=0.8)
-    for sign in (-1.0, 1.0):
-        label = f"threshold ±{threshold:g} m/rad" if sign > 0.0 else None
-        axes.axhline(sign * threshold, color=PALE, lw=1.0, ls=(0, (4, 3)), label=label)
-    options: dict[str, Any] = {"ls": "", "ms": 7, "mec": "white", "mew": 0.6}
-    begins, ends = seen.falls, seen.rises
-    axes.plot(degrees[begins], seen.slopes[begins], "v", color="#15803d", label="begins", **options)
-    axes.plot(degrees[ends], seen.slopes[ends], "^", color="#f2a03d", label="ends", **options)
-    # Linear up to the threshold, logarithmic beyond: a lost beam jumps ten times as far.
-    axes.set_yscale("symlog", linthresh=threshold, linscale=1.0)
-    ticks = threshold * np.array([-16.0, -4.0, -1.0, 0.0, 1.0, 4.0, 16.0])
-    axes.set_yticks(ticks, [f"{tick:g}".replace("-", "−") for tick in ticks])
-    axes.minorticks_off()
-
-
-# --------------------------------------------------------------------------- from above
-
-
 def scan_figure(detections: Detections, radius: float = 0.0) -> Figure:
     """Draw a scan from above: the truth in pale colours, readings, true and spurious detections.
 
     `radius` (m) is that of the detected cylinders.
     """
-    box = _bounds(detections.snapshot)
+    box = bounds(detections.snapshot)
     figure = new_figure(*_size(box, WIDTH, 7.4))
-    _scan(figure.subplots(), detections, box, radius)
-    _legend(figure, detections, 4 if _is_wide(box) else 2)
+    draw_scan(figure.subplots(), detections, box, radius)
+    add_legend(figure, detections, 4 if _is_wide(box) else 2)
     return figure
 
 
 def people_figure(detections: Detections) -> Figure:
     """Draw the true scene with people beside (or above) the detected walls (Figs. 18, 19)."""
-    box = _bounds(detections.snapshot)
+    box = bounds(detections.snapshot)
     wide = _is_wide(box)
     width, height = _size(box, WIDTH if wide else WIDTH / 2, 6.4)
     figure = new_figure(width, 2 * height) if wide else new_figure(2 * width, height)
     panels = list(figure.subplots(2 if wide else 1, 1 if wide else 2, squeeze=False).flat)
     bare = Detections(detections.snapshot, (), ())
-    _scan(panels[0], bare, box, 0.0, readings=False)
-    _scan(panels[1], detections, box, 0.0)
+    draw_scan(panels[0], bare, box, 0.0, readings=False)
+    draw_scan(panels[1], detections, box, 0.0)
     for axes, title in zip(panels, ("(a) the scene", "(b) readings and walls found"), strict=True):
         axes.set_title(title, loc="left", color=INK, fontsize=10)
-    _legend(figure, detections, 4)
+    add_legend(figure, detections, 4)
     return figure
 
 
@@ -124,7 +66,7 @@ def _is_wide(box: Sequence[float]) -> bool:
     return box[1] - box[0] > 1.5 * (box[3] - box[2])
 
 
-def _bounds(snapshot: SceneSnapshot) -> tuple[float, float, float, float]:
+def bounds(snapshot: SceneSnapshot) -> tuple[float, float, float, float]:
     """Return left, right, bottom, top in map of the readings and the robot."""
     points = transform(snapshot.pose, snapshot.scan.points[usable(snapshot.scan)])
     points = np.vstack([points, snapshot.pose[:2] - ROBOT, snapshot.pose[:2] + ROBOT])
@@ -139,9 +81,10 @@ def _size(box: Sequence[float], width: float, tallest: float) -> tuple[float, fl
     return max(height / ratio + 0.75, 4.2), height + 1.1
 
 
-def _scan(
+def draw_scan(
     axes: Axes, detections: Detections, box: Sequence[float], radius: float, readings: bool = True
 ) -> None:
+    """Draw a scan from above in a box (left, right, bottom, top), with its detections."""
     snapshot = detections.snapshot
     left, right, bottom, top = box
     _field(axes, snapshot)
@@ -157,7 +100,7 @@ def _scan(
     quiet(axes)
 
 
-def _legend(figure: Any, detections: Detections, columns: int) -> None:
+def add_legend(figure: Any, detections: Detections, columns: int) -> None:
     """Put the legend above a figure of scans from above."""
     figure.legend(handles=_keys(detections), loc="outside upper center", ncols=columns, **LEGEND)
 

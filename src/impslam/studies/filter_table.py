@@ -8,14 +8,14 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from importlib.util import find_spec
 from itertools import product
-from typing import Any, NamedTuple, cast
+from typing import Any, cast
 
 import numpy as np
 
 from impslam.component import components
 from impslam.config import load
 from impslam.estimators.base import Estimator
-from impslam.evaluation.consistency import nees, pose_errors, resampled_means
+from impslam.evaluation.consistency import nees, pose_errors
 from impslam.map import Keyframe
 from impslam.studies.arena_experiment import GATE
 from impslam.studies.batch_optimum import optima
@@ -23,10 +23,11 @@ from impslam.studies.circle_simulation import HUANG, LONG_LOOP, Setting, Trial, 
 from impslam.studies.consistency_arena import SETTLED
 from impslam.studies.filter_consistency import BATCH, CHECK_EVERY
 from impslam.studies.filter_logs import log_rows
+from impslam.studies.filter_scores import Cell, FilterScore, score_filters
 from impslam.studies.report import Picture, ResultTable, Section, load_text, make_table
 from impslam.studies.sweep import StudyRun, Variant, sweep
 from impslam.sweeps.job import Job
-from impslam.sweeps.rows import Row, attempt, by_variant, failures
+from impslam.sweeps.rows import Row, attempt, failures
 from impslam.types import Array, Increment, Observation
 
 TEXT = load_text("filter_table")
@@ -39,29 +40,6 @@ MAX_DECIMAL_NEES = 1000.0
 """A larger NEES is printed in scientific notation."""
 RUNS = 8
 """Default, for a quick look with wide intervals."""
-
-
-class Cell(NamedTuple):
-    """A mean over runs and its 95 % interval."""
-
-    value: float
-    low: float
-    high: float
-
-    def __format__(self, form: str) -> str:
-        return f"{self.value:{form}} [{self.low:{form}}, {self.high:{form}}]"
-
-
-class FilterScore(NamedTuple):
-    """Results of a filter on a data set; NaN for values that are not measured."""
-
-    runs: int
-    nees: Cell
-    position: Cell  # m
-    over_optimum: float
-    milliseconds: float
-    wrong: float  # share of matches
-    megabytes: float
 
 
 def filter_table(job: Job) -> Section:
@@ -94,47 +72,6 @@ def installed() -> dict[str, Sequence[str]]:
         for name, given in FILTERS.items()
         if not (library := libraries[kinds[name]]) or find_spec(library)
     }
-
-
-def score_filters(rows: Iterable[Row], data: str) -> dict[str, FilterScore]:
-    """Return the results of each filter on a data set."""
-    # A filter without a successful run is left out; `failures` reports the reason.
-    groups = by_variant(row for row in rows if row["world"] == data and not row["error"])
-    best = groups.get(BATCH, ())
-    optimum = _rms(best, "position2_at_checks")
-    rng = np.random.default_rng(0)
-    return {
-        name: FilterScore(
-            len(runs),
-            _interval(_values(runs, "nees"), rng),
-            Cell(*np.sqrt(_interval(_values(runs, "position2"), rng))),
-            _rms(runs, "position2_at_checks") / optimum,
-            float(np.median([run["milliseconds"] for run in runs])),
-            _share(runs, "wrong", "matched"),
-            max(run.get("megabytes", math.nan) for run in runs),
-        )
-        for name, runs in groups.items()
-    }
-
-
-def _values(runs: Sequence[Row], metric: str) -> Array:
-    """Return the values of a metric in all runs, or in stretches of runs if available."""
-    return np.concatenate([run.get(f"{metric}_parts", [run[metric]]) for run in runs])
-
-
-def _share(runs: Sequence[Row], part: str, whole: str) -> float:
-    total = sum(run.get(whole, 0) for run in runs)
-    return sum(run.get(part, 0) for run in runs) / total if total else math.nan
-
-
-def _interval(values: Array, rng: np.random.Generator) -> Cell:
-    means = resampled_means(values[:, None], rng)[:, 0]
-    return Cell(float(values.mean()), *np.quantile(means, [0.025, 0.975]).tolist())
-
-
-def _rms(rows: Sequence[Row], metric: str) -> float:
-    values = [row[metric] for row in rows]
-    return math.sqrt(np.mean(values)) if values else math.nan
 
 
 def _circle_row(data: str, item: tuple[str, int]) -> Row:

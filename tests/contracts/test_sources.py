@@ -24,6 +24,12 @@ def log(request, tmp_path):
     return LOGS[request.param](tmp_path / "log")
 
 
+def test_every_reader_has_a_log_here(tmp_path):
+    """So that the tests below cover a new reader too."""
+    read = {recognise(write(tmp_path / name)) for name, write in LOGS.items()}
+    assert read == set(SOURCES.values())
+
+
 def test_exactly_one_reader_recognises_a_log(log):
     assert sum(cls.recognises(log) for cls in SOURCES.values()) == 1
 
@@ -52,6 +58,14 @@ def test_any_cutting_of_a_damaged_log_gives_the_same_rows_and_problems(log):
     whole = cutting(log, 10**6)
     for rows in (1, 3):
         assert cutting(log, rows) == whole
+
+
+@pytest.mark.parametrize("share", [0.5, 0.9])
+def test_any_cutting_of_a_truncated_log_gives_the_same_rows_and_problems(log, share):
+    truncate(log, share)
+    whole = cutting_or_error(log, 10**6)
+    for rows in (1, 3):
+        assert cutting_or_error(log, rows) == whole
 
 
 def test_streams_are_called_what_their_columns_are(log):
@@ -83,6 +97,20 @@ def cutting(log, rows):
                 assert name == columns.stream
                 found += [row_bytes(columns, k) for k in range(len(columns))]
     return sorted(found), source.problems
+
+
+def cutting_or_error(log, rows):
+    try:
+        return cutting(log, rows)
+    except ImpError as error:
+        return str(error)
+
+
+def truncate(log, share):
+    """Cut off the end of each file."""
+    for path in [path for path in log.rglob("*") if path.is_file()] if log.is_dir() else [log]:
+        content = path.read_bytes()
+        path.write_bytes(content[: int(share * len(content))])
 
 
 def row_bytes(columns, k):

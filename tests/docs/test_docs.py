@@ -120,6 +120,22 @@ def test_every_command_and_config_is_understood(page):
                 make_app().parse_args(words, exit_on_error=False, print_error=False)
 
 
+def test_the_architecture_names_each_folder_and_files_that_exist():
+    package = ROOT / "src" / "impslam"
+    page = (ROOT / "docs" / "architecture.md").read_text("utf-8")
+    names = set(re.findall(r"`([\w/*]+(?:\.py)?)`", page))
+    for file in (name for name in names if name.endswith(".py")):
+        assert next(package.rglob(file), None), file
+    folders = {path.parent for path in package.rglob("*.*") if path.parent.parent == package}
+    folders |= set((package / "platform").iterdir())
+    named = {str(f.relative_to(package)) for f in folders if f.is_dir()} - {"__pycache__"}
+    hidden = {"cli", "platform", "platform/__pycache__"}  # in the text, and in the parts below it
+    assert named - hidden <= names
+    parts = next(line for line in page.splitlines() if line.startswith("| `estimators`"))
+    for part in re.findall(r"`(\w[\w*]*)`", parts.split(" | ")[1].partition("parts of")[2]):
+        assert next(package.glob(f"estimators/{part}.py"), None), part
+
+
 def test_links_out_of_the_site_lead_somewhere():
     for page in [ROOT / "README.md", ROOT / "CONTRIBUTING.md"]:
         for link in filter(None, sum(LINK.findall(page.read_text("utf-8")), ())):

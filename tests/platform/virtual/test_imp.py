@@ -140,7 +140,7 @@ def test_a_stall_ends(imp):
     truth = imp.truth()
     assert truth["stalled"] == ["left"]
     np.testing.assert_allclose(truth["motors"], [0.0, 0.3], atol=1e-3)
-    np.testing.assert_allclose(truth["told"], [0.3, 0.3])
+    np.testing.assert_allclose(truth["commanded"], [0.3, 0.3])
     step(imp, 1.99, 3.0)
     assert imp.truth()["stalled"] == []
     np.testing.assert_allclose(imp.truth()["motors"], [0.3, 0.3], atol=1e-3)

@@ -187,7 +187,7 @@ def test_commands_move_the_wheels_soon_and_stop_without_them(robot, devices):
     assert min(latencies) > 0
     assert np.median(latencies) < 0.05
     # No more commands: the micro-controller's timeout of 0.5 s.
-    assert until(lambda: robot.truth()["told"] == [0.0, 0.0]) < 3.0
+    assert until(lambda: robot.truth()["commanded"] == [0.0, 0.0]) < 3.0
     until(lambda: abs(robot.truth()["twist"][1]) < 1e-3)
     assert abs(robot.truth()["pose"][2] - load_world("room").robot.start[2]) > 1e-3
 

@@ -13,14 +13,14 @@ export default {
     this.since = performance.now();
     this.watcher = new IntersectionObserver(([entry]) => (this.visible = entry.isIntersecting));
     this.watcher.observe(this.$el);
-    this.timer = setInterval(this.look, 1000 * this.period);
+    this.timer = setInterval(this.poll, 1000 * this.period);
   },
   unmounted() {
     this.watcher.disconnect();
     clearInterval(this.timer);
   },
   methods: {
-    look() {
+    poll() {
       const newest = window.impLink?.picture ?? 0;
       this.old = this.stamp && performance.now() - this.since > 3000 ? Math.round((performance.now() - this.since) / 1000) : 0;
       if (!this.visible || document.hidden || this.loading || !newest || newest === this.stamp) return;

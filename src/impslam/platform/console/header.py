@@ -48,8 +48,8 @@ class Header:
         self._driver.text = driver
 
     @staticmethod
-    def _chip(testid: str, look: str) -> ui.label:
-        chip = text(testid, "", f"chip {look}")
+    def _chip(testid: str, style: str) -> ui.label:
+        chip = text(testid, "", f"chip {style}")
         show(chip, False)
         return chip
 

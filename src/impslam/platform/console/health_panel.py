@@ -20,7 +20,7 @@ from impslam.types import Climate, Event
 
 MAX_EVENTS = 40  # events
 CLIMATE_TIMEOUT = 10.0  # s: ten readings
-LOOKS = {
+STYLES = {
     "ok": ("check_circle", "ok"),
     "silent": ("hourglass_empty", "warning"),
     "opening": ("sync", "warning"),
@@ -138,26 +138,26 @@ def page_row(latencies: np.ndarray[tuple[int], np.dtype[np.float64]]) -> str:
 
 def event_row(event: Event) -> str:
     """Return an event as HTML, with its time of day by the robot's clock."""
-    look = LEVELS.get(event.level, "info")
+    style = LEVELS.get(event.level, "info")
     moment = time.strftime("%H:%M:%S", time.localtime(event.stamp))
     content = f"<b>{html.escape(event.source)}</b> {html.escape(event.text)}"
     return (
-        f'<div class="event {look}"><time>{moment}</time>{_icon(look)}<span>'
-        f'<span class="sr">{look}: </span>{content}</span></div>'
+        f'<div class="event {style}"><time>{moment}</time>{_icon(style)}<span>'
+        f'<span class="sr">{style}: </span>{content}</span></div>'
     )
 
 
 def _row(
     name: str, state: str, facts: Iterable[str], troubles: Iterable[str], detail: str = ""
 ) -> str:
-    icon, look = LOOKS.get(state, ("help", "warning"))
+    icon, style = STYLES.get(state, ("help", "warning"))
     facts = [f"<span>{html.escape(fact)}</span>" for fact in facts]
     facts += [f'<span class="trouble">{html.escape(one)}</span>' for one in troubles]
     more = f'<div class="facts">{"".join(facts)}</div>' if facts else ""
     if detail:
         more += f'<div class="detail">{html.escape(detail)}</div>'
     return (
-        f'<div class="state {look}" data-state="{html.escape(state)}">{_icon(icon)}'
+        f'<div class="state {style}" data-state="{html.escape(state)}">{_icon(icon)}'
         f"<b>{html.escape(name)}</b><em>{html.escape(state)}</em></div>{more}"
     )
 

@@ -102,7 +102,7 @@ export default {
       for (const mark of frame.marks?.set ?? []) map.marks.set(mark[0], mark);
       for (const id of frame.marks?.gone ?? []) map.marks.delete(id);
       if (frame.grid) this.load(frame.grid);
-      this.tell(frame);
+      this.showState(frame);
       this.seen = !document.hidden;
       this.awaited = frame.seq;
       this.redraw();
@@ -122,7 +122,7 @@ export default {
       map.true = frame.truth;
       this.hasTruth ||= frame.truth !== null;
     },
-    tell(frame) {
+    showState(frame) {
       const moved = frame.scans > 0 && frame.placed;
       this.sought = !frame.placed && !frame.finished;
       this.pose = moved ? frame.pose : null;

@@ -59,7 +59,7 @@ class MapView(Element, component="map_view.js", esm={"impslam-map": "map"}):
             self._props["asks"] = asks
             self.update()
 
-    def tell(self, notice: str) -> None:
+    def show_notice(self, notice: str) -> None:
         """Show why the map does not follow the robot, instead of its pose and state; "" if it does."""
         if notice != self._props["notice"]:
             self._props["notice"] = notice

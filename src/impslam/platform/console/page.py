@@ -104,7 +104,7 @@ class Page:
         if isinstance(self._panels, RobotPanels):
             self._link.warn(self._panels.slow())
             mapping = self._feed.health().mapping
-            self._map.tell(notice(mapping))
+            self._map.show_notice(notice(mapping))
             self._map.accept_hints(mapping.on and bool(mapping.name))
 
     def _end(self) -> None:

@@ -9,7 +9,7 @@ from nicegui import html, ui
 from nicegui.element import Element
 from nicegui.events import Handler
 
-Look = Literal["plain", "primary", "danger", "quiet"]
+Style = Literal["plain", "primary", "danger", "quiet"]
 
 
 def tagged(element: Element, testid: str) -> Element:
@@ -48,15 +48,15 @@ def text(testid: str, value: str = "", classes: str = "") -> ui.label:
 
 
 def button(
-    label: str, testid: str, act: Handler[Any], look: Look = "plain", icon: str = ""
+    label: str, testid: str, act: Handler[Any], style: Style = "plain", icon: str = ""
 ) -> Element:
     """Return a button; `act` may be a coroutine function."""
-    made: Element = html.button().classes(f"button {look}").on("click", act, [])
+    made: Element = html.button().classes(f"button {style}").on("click", act, [])
     made.props["type"] = "button"
     with tagged(made, testid):
         if icon:
             symbol(icon)
-        if look == "quiet":  # only the icon is visible
+        if style == "quiet":  # only the icon is visible
             made.props["aria-label"] = made.props["title"] = label
         else:
             html.span(label)

@@ -195,7 +195,7 @@ class VirtualImp:
             "pose": body.pose.tolist(),
             "twist": body.twist.tolist(),
             "motors": body.motors.tolist(),
-            "told": self._commanded_speeds().tolist(),
+            "commanded": self._commanded_speeds().tolist(),
             "stalled": sorted(self._blocked),
             "commands": [entry for entry in self._commands if entry[0] > since],
         }

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,6 +16,7 @@ from impslam.sources import ros_messages as ros
 from impslam.sources.base import Problems
 from impslam.sources.parts import LocatedMessage, Piece, single
 from impslam.sources.ros_frames import Edge
+from impslam.sources.ros_stamps import HeaderStamps
 from impslam.sources.ros_storage import Bag, RosMessage, one_line
 from impslam.sources.ros_tables import TABLES, Rows, Values, stamps, transforms
 from impslam.sources.ros_topics import TF_TYPES, Use
@@ -72,22 +72,7 @@ class RowReader:
         self._odometry, self._problems = odometry, problems
         wheels = [topic for topic, use in uses.items() if use == "wheels"]
         self._wheel_topics = {topic for topic in wheels if joint_fault(bag, topic, joints) is None}
-        self._starts_at_zero = any(map(self._has_zero_start, bag.connections))
-
-    def _has_zero_start(self, connection: Connection) -> bool:
-        """Return whether stamps start at 0: there is a clock, or only the first stamp is 0."""
-        if connection.topic == "/clock":
-            return connection.msgcount > 0
-        if self._uses.get(connection.topic) not in ("scan", "odometry"):
-            return False
-        found = []
-        with suppress(Exception):  # rosbags may raise anything on damaged data
-            for _, _, data in islice(self._bag.messages([connection]), 2):
-                message = self._bag.decoder(connection)(data)
-                if connection.msgtype in TF_TYPES:
-                    message = message.transforms[0]
-                found.append(ros.header_stamp(message))
-        return len(found) == 2 and found[0] == 0 < found[1]
+        self._stamps = HeaderStamps(path, bag, uses, problems)
 
     def part(self, records: Sequence[Record]) -> list[Piece]:
         """Return the rows of some messages."""
@@ -162,7 +147,7 @@ class RowReader:
             message = self._odometry.pick(message) if self._odometry else None
             if message is None:
                 return None
-        stamp = ros.seconds(self._stamp(topic, message, record.log_time))
+        stamp = ros.seconds(self._stamps.of(message, topic, record.log_time))
         use = self._uses[topic]
         if use == "wheels":
             return self._wheels(topic, message, stamp)
@@ -174,17 +159,6 @@ class RowReader:
                 "and angle_max",
             )
         return found
-
-    def _stamp(self, topic: str, message: RosMessage, log_time: int) -> int:
-        """Return the stamp of a message in ns, or its log time if it has none."""
-        nanoseconds = ros.header_stamp(message)
-        if nanoseconds or self._starts_at_zero or log_time <= ros.NANOSECONDS:
-            return nanoseconds
-        self._problems.add(
-            "no stamp",
-            f"{self._path}: {topic} has headers without a stamp; the log time is used",
-        )
-        return log_time
 
     def _wheels(self, topic: str, message: RosMessage, stamp: float) -> WheelAngles | None:
         """Read the wheels of a `sensor_msgs/JointState`; None if only others of the topic have wheels."""

@@ -4,7 +4,7 @@ import pytest
 from tests.registry import own_registry
 
 from impslam.cli import main
-from impslam.component import build, load_plugin
+from impslam.component import build, load_plugin, roles
 from impslam.config import load
 from impslam.errors import ConfigError
 
@@ -77,7 +77,21 @@ FORMER = [
         "    def step(self, motion, scan): ...",
         "add, landmarks, start, state_size",
     ),
+    (
+        *("tracker", "tracking", "Tracker"),
+        "    def match(self, scan, guess): ...",
+        "steps",
+    ),
+    (
+        *("device", "platform.devices", "Device"),
+        "    def read(self): ...",
+        "_serve",
+    ),
 ]
+
+
+def test_every_role_is_tested():
+    assert {role for role, *_ in FORMER} == set(roles())
 
 
 @pytest.mark.parametrize(("role", "package", "base", "body", "lacks"), FORMER)

@@ -63,7 +63,8 @@ class Outcome:
 class Observer:
     """Base class of observers; does nothing.
 
-    The arrays of tracks, keyframes, revisions and paths are read-only.
+    The arrays of tracks, keyframes, revisions and paths are read-only. Those of a keyframe's sweeps, scan
+    and observations are not, because kernels are compiled for writable arrays: never write to them.
     """
 
     def follow(self, track: Track, path: PathRows) -> None:

@@ -57,3 +57,29 @@ def test_mapping_a_text_log_imports_little(tmp_path: Path) -> None:
     assert "impslam.sources.mrclam" not in readers
     assert "impslam.tracking.scan_to_map" in modules
     assert "impslam.association.jcbb" not in modules
+
+
+OF_EXTRAS = {
+    "arro3", "cobs", "cryptography", "distributed", "fastapi", "gtsam", "h11", "ifaddr", "nicegui",
+    "optuna", "pynmeagps", "rerun", "serial", "starlette", "uvicorn",
+}  # fmt: skip
+"""What `pip install impslam` does not install."""
+WITHOUT_EXTRAS = f"import sys; sys.modules.update(dict.fromkeys({sorted(OF_EXTRAS)}));" + CODE
+
+
+@pytest.mark.parametrize(
+    "words",
+    [("run", "room.log", "-o", "run"), ("inspect", "room.log"), ("config",), ("list",)],
+    ids=" ".join,
+)
+def test_it_works_without_the_extras(words: tuple[str, ...], tmp_path: Path) -> None:
+    carmen(tmp_path / "room.log")
+    said = subprocess.run(
+        [sys.executable, "-c", WITHOUT_EXTRAS, *words],
+        capture_output=True, text=True, check=True, cwd=tmp_path,
+    )  # fmt: skip
+    code, modules = json.loads(said.stderr.splitlines()[-1])
+    assert code == 0
+    beside = {m for m in modules if m.startswith(("impslam.platform.", "impslam.studies."))}
+    devices = {m for m in beside if m.startswith("impslam.platform.devices")}
+    assert beside == (devices if words == ("list",) else set())

@@ -18,7 +18,7 @@ from impslam.studies.chapter4 import WORLDS, figures
 from impslam.studies.chapter4_detections import (
     MAX_DISTANCE,
     MAX_TURN,
-    Detections,
+    ScanDetections,
     ThesisExtractors,
     detect,
     doubles,
@@ -231,15 +231,15 @@ def test_spurious_cylinders_are_away_from_every_axis(thesis: ThesisExtractors) -
 def test_a_wall_that_is_found_twice_is_a_double() -> None:
     twice = (wall((LEFT, 1.0), (LEFT, 2.0)), wall((LEFT + 0.1, 2.0), (LEFT + 0.1, 3.0)))
     other = wall((RIGHT, 1.0), (RIGHT, 2.0))
-    assert doubles(Detections(snapshot_of(), (*twice, other), ())) == 1
-    assert doubles(Detections(snapshot_of(), (twice[0], other), ())) == 0
+    assert doubles(ScanDetections(snapshot_of(), (*twice, other), ())) == 1
+    assert doubles(ScanDetections(snapshot_of(), (twice[0], other), ())) == 0
 
 
 def test_long_spurious_walls_are_a_metre_or_more() -> None:
     found = wall((-1.0, 1.0), (-0.3, 1.0)), wall((-1.5, 2.0), (-0.4, 2.0)), cylinder(-1.0, 3.0)
-    detections = Detections(snapshot_of(), (), found)
+    detections = ScanDetections(snapshot_of(), (), found)
     assert long_ones(detections) == [found[1]]
-    assert rates([detections, Detections(snapshot_of(), found[:1], ())]) == {
+    assert rates([detections, ScanDetections(snapshot_of(), found[:1], ())]) == {
         "scans": 2,
         "true_per_scan": 0.5,
         "spurious_per_scan": 1.5,
@@ -259,10 +259,13 @@ def test_readings_on_legs_are_those_that_met_them() -> None:
 
 
 def test_without_a_scan_that_satisfies_the_rule_the_nearest_is_returned() -> None:
-    def most(detections: Detections) -> int:
+    def most(detections: ScanDetections) -> int:
         return len(detections.spurious)
 
-    a, b = Detections(snapshot_of(), (), ()), Detections(snapshot_of(), (), (cylinder(0.0, 0.0),))
+    a, b = (
+        ScanDetections(snapshot_of(), (), ()),
+        ScanDetections(snapshot_of(), (), (cylinder(0.0, 0.0),)),
+    )
     assert first_or_nearest([a, b], lambda s: not s.spurious, most) == (a, True)
     assert first_or_nearest([a, b], lambda s: len(s.spurious) > 3, most) == (b, False)
 
@@ -332,7 +335,7 @@ def test_detected_walls_are_cells_above_the_threshold(
 
 def test_findings_are_drawn_in_the_colour_of_what_they_are(thesis: ThesisExtractors) -> None:
     good, bad = wall((LEFT, 1.0), (LEFT, 3.0)), wall((-1.0, 1.0), (-0.5, 1.2))
-    detections = Detections(snapshot_of(), (good,), (bad,))
+    detections = ScanDetections(snapshot_of(), (good,), (bad,))
     for axes in (scan_figure(detections).axes[0], people_figure(detections).axes[1]):
         drawn = {line.get_color(): line.get_xydata() for line in axes.lines if line.get_gid()}
         assert drawn[TRUE] == pytest.approx(np.array([[LEFT, 1.0], [LEFT, 3.0]]))

@@ -37,7 +37,7 @@ READERS: dict[Use, Callable[[RosMessage, float], Message]] = {
 MIN_TABLE_ROWS = 4  # fewer messages are read faster one by one
 
 
-class Record(NamedTuple):
+class NumberedRecord(NamedTuple):
     """A serialised message; `place` is its number among those in use."""
 
     place: int
@@ -74,7 +74,7 @@ class RowReader:
         self._wheel_topics = {topic for topic in wheels if joint_fault(bag, topic, joints) is None}
         self._stamps = HeaderStamps(path, bag, uses, problems)
 
-    def part(self, records: Sequence[Record]) -> list[Piece]:
+    def part(self, records: Sequence[NumberedRecord]) -> list[Piece]:
         """Return the rows of some messages."""
         part = []
         remaining = dict.fromkeys(record.place for record in records)
@@ -89,7 +89,7 @@ class RowReader:
                 part += self._read_one(record)
         return part
 
-    def _read_table(self, group: Sequence[Record]) -> Piece | None:
+    def _read_table(self, group: Sequence[NumberedRecord]) -> Piece | None:
         """Return the rows of the valid messages of equal layout in a group, if there are any."""
         connection = group[0].connection
         kind = connection.msgtype
@@ -113,7 +113,7 @@ class RowReader:
         return None
 
     def _columns(
-        self, rows: Rows, decode: Callable[[bytes], RosMessage], first: Record
+        self, rows: Rows, decode: Callable[[bytes], RosMessage], first: NumberedRecord
     ) -> tuple[Values, Mask, Ints]:
         """Return columns, which of their rows are valid, and stamps in ns; raise if there are none."""
         kind, joints = first.connection.msgtype, None
@@ -125,7 +125,7 @@ class RowReader:
             joints = ros.find_joints(decode(first.data).name, *self._joints)
         return *TABLES[kind](rows, joints), rows.nanoseconds()
 
-    def _read_one(self, record: Record) -> Iterator[Piece]:
+    def _read_one(self, record: NumberedRecord) -> Iterator[Piece]:
         """Yield the row of any message, or report a problem."""
         topic = record.connection.topic
         try:
@@ -139,7 +139,7 @@ class RowReader:
             if message is not None:
                 yield single(LocatedMessage(message, record.place, topic), record.place)
 
-    def _read(self, record: Record) -> Message | None:
+    def _read(self, record: NumberedRecord) -> Message | None:
         """Return a record as a message; None if it has only other transforms or joints than needed."""
         topic = record.connection.topic
         message = self._bag.decoder(record.connection)(record.data)
@@ -176,9 +176,9 @@ class RowReader:
         return WheelAngles(stamp, left, right)
 
 
-def _grouped(records: Iterable[Record]) -> Iterable[list[Record]]:
+def _grouped(records: Iterable[NumberedRecord]) -> Iterable[list[NumberedRecord]]:
     """Return the messages grouped by publisher and size."""
-    groups: dict[tuple[int, int], list[Record]] = {}
+    groups: dict[tuple[int, int], list[NumberedRecord]] = {}
     for record in records:
         groups.setdefault((record.connection.id, len(record.data)), []).append(record)
     return groups.values()

@@ -21,7 +21,7 @@ from impslam.errors import SourceError
 from impslam.sources.base import Mount, Source, Stream
 from impslam.sources.parts import Piece
 from impslam.sources.ros_frames import Edge, Frames, links
-from impslam.sources.ros_rows import Record, RowReader
+from impslam.sources.ros_rows import NumberedRecord, RowReader
 from impslam.sources.ros_storage import (
     Bag,
     early_version,
@@ -280,7 +280,7 @@ class RosBag(Source):
         for records in self._records(bag, rows):
             yield reader.part(records)
 
-    def _records(self, bag: Bag, rows: int) -> Iterator[list[Record]]:
+    def _records(self, bag: Bag, rows: int) -> Iterator[list[NumberedRecord]]:
         """Yield the messages in use, some at a time."""
         assert self._frames is not None
         used, watch = self._used(), self._frames.watch(self._mounts, self._watched)
@@ -289,7 +289,7 @@ class RosBag(Source):
         others = [c for c in (*events, *watched) if c not in used]
         topics, odometry = {c.topic for c in used}, self._edge
         self._position = 0
-        records: list[Record] = []
+        records: list[NumberedRecord] = []
         size = 0
         for connection, log_time, data in self._raw(bag, [*used, *others]):
             if connection in watched and watch.may_be_in(data):
@@ -303,7 +303,7 @@ class RosBag(Source):
             if moved := watch.moved(connection.topic):
                 self._report_moved(connection.topic, moved)
                 continue
-            records.append(Record(self._position, connection, log_time, data))
+            records.append(NumberedRecord(self._position, connection, log_time, data))
             size += len(data)
             if len(records) >= min(rows, ROWS) or size > PART_SIZE:
                 yield records

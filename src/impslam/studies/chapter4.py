@@ -13,8 +13,8 @@ from impslam.studies import chapter4_plot as plot
 from impslam.studies.chapter4_detections import (
     LONG,
     MAX_DISTANCE,
-    Detections,
     FoundByExtractor,
+    ScanDetections,
     ThesisExtractors,
     doubles,
     first_or_nearest,
@@ -38,7 +38,7 @@ TEXT = load_text("chapter4")
 class Chosen:
     """A scan to draw, and whether it satisfies the rule by which it was selected."""
 
-    detections: Detections
+    detections: ScanDetections
     occurs: bool = True
 
     def counts(self) -> dict[str, float]:
@@ -111,11 +111,11 @@ def choose(found: Mapping[str, FoundByExtractor]) -> dict[str, Chosen]:
     }
 
 
-def _true_less_spurious(detections: Detections) -> int:
+def _true_less_spurious(detections: ScanDetections) -> int:
     return len(detections.true) - doubles(detections) - 2 * len(detections.spurious)
 
 
-def _spurious(detections: Detections) -> int:
+def _spurious(detections: ScanDetections) -> int:
     return len(detections.spurious)
 
 
@@ -131,11 +131,11 @@ def _pictures(
     """Draw the scans, with their captions."""
     jump = thesis.jump
 
-    def draw_jumps(shown: Detections) -> Figure:
+    def draw_jumps(shown: ScanDetections) -> Figure:
         seen = jumps(shown.snapshot.scan, jump.threshold)
         return jumps_figure(shown, seen, jump.threshold, jump.radius)
 
-    draw: dict[str, Callable[[Detections], Figure]] = {
+    draw: dict[str, Callable[[ScanDetections], Figure]] = {
         "jumps": draw_jumps,
         "camera": plot.camera_figure,
         "cylinders": lambda shown: plot.scan_figure(shown, jump.radius),
@@ -182,7 +182,7 @@ def _caption(
     return text["caption"].format(**facts)
 
 
-def _finds(detections: Detections) -> str:
+def _finds(detections: ScanDetections) -> str:
     twice = doubles(detections)
     again = f" ({twice} of them a second line on the same wall)" if twice else ""
     return f"{len(detections.true)} true{again}, {len(detections.spurious)} spurious"

@@ -32,7 +32,7 @@ LONG = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Detections:
+class ScanDetections:
     """The true and the spurious detections of an extractor in a scan."""
 
     snapshot: SceneSnapshot
@@ -82,16 +82,16 @@ def extractor(preset: str, kind: str, *settings: str) -> Extractor:
     return made
 
 
-def detect(snapshot: SceneSnapshot, extractor: Extractor, seed: int = 0) -> Detections:
+def detect(snapshot: SceneSnapshot, extractor: Extractor, seed: int = 0) -> ScanDetections:
     """Run an extractor on a scan; its random draws depend only on the seed and the scan's number."""
     found = extractor.extract(snapshot.scan, np.random.default_rng([seed, snapshot.number]))
     true = [true_thing(snapshot, finding) >= 0 for finding in found]
-    return Detections(
+    return ScanDetections(
         snapshot, tuple(compress(found, true)), tuple(compress(found, map(not_, true)))
     )
 
 
-FoundByExtractor: TypeAlias = Mapping[str, list[Detections]]
+FoundByExtractor: TypeAlias = Mapping[str, list[ScanDetections]]
 """Detections in the scans of a run, by the extractor's field in `ThesisExtractors`."""
 
 
@@ -161,17 +161,17 @@ def _nearest(distances: Array) -> int:
     return int(distances.argmin())
 
 
-def doubles(detections: Detections) -> int:
+def doubles(detections: ScanDetections) -> int:
     """Return the number of true detections of things that were detected before."""
     things = [true_thing(detections.snapshot, finding) for finding in detections.true]
     return len(things) - len(set(things))
 
 
 def first_or_nearest(
-    found: Sequence[Detections],
-    rule: Callable[[Detections], bool],
-    nearest: Callable[[Detections], float],
-) -> tuple[Detections, bool]:
+    found: Sequence[ScanDetections],
+    rule: Callable[[ScanDetections], bool],
+    nearest: Callable[[ScanDetections], float],
+) -> tuple[ScanDetections, bool]:
     """Return the first element that satisfies the rule and True, else the one with maximal `nearest`."""
     for detections in found:
         if rule(detections):
@@ -179,7 +179,7 @@ def first_or_nearest(
     return max(found, key=nearest), False
 
 
-def rates(found: Iterable[Detections]) -> dict[str, float]:
+def rates(found: Iterable[ScanDetections]) -> dict[str, float]:
     """Return the number of scans, and of true, spurious and long spurious detections per scan."""
     scans = list(found)
     return {
@@ -190,13 +190,13 @@ def rates(found: Iterable[Detections]) -> dict[str, float]:
     }
 
 
-def long_ones(detections: Detections) -> list[Observation]:
+def long_ones(detections: ScanDetections) -> list[Observation]:
     """Return the spurious walls of length `LONG` or more."""
     walls = [(o, o.end_points) for o in detections.spurious]
     return [o for o, ends in walls if ends is not None and math.dist(*ends) >= LONG]
 
 
-def on_people(detections: Detections) -> int:
+def on_people(detections: ScanDetections) -> int:
     """Return the number of spurious cylinders with a leg within `MAX_DISTANCE` of their centre."""
     legs = detections.snapshot.legs[:, :2]
     centres = [

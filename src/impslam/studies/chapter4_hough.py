@@ -18,7 +18,7 @@ from impslam.evaluation.colours import INK, PALE
 from impslam.evaluation.plots import new_figure
 from impslam.extractors.hough import Hough
 from impslam.extractors.readings import usable
-from impslam.studies.chapter4_detections import Detections
+from impslam.studies.chapter4_detections import ScanDetections
 from impslam.studies.chapter4_plot import LEGEND, SPURIOUS, TRUE, WIDTH
 from impslam.types import Array, Observation
 
@@ -61,7 +61,7 @@ def peak(finding: Observation, hough: Hough) -> tuple[float, float]:
     return theta - 1e-9, distance if half_turns % 2 == 0 else -distance
 
 
-def hough_figure(detections: Detections, hough: Hough) -> Figure:
+def hough_figure(detections: ScanDetections, hough: Hough) -> Figure:
     """Draw the binary image with the detected lines, and the accumulator with their cells."""
     figure = new_figure(WIDTH + 1.2, 4.6)
     left, right = figure.subplots(1, 2, width_ratios=(1.0, 1.02))
@@ -101,7 +101,7 @@ def _cells(figure: Figure, axes: Axes, white: Array, hough: Hough) -> None:
     bar.ax.tick_params(colors=PALE, labelcolor=INK, labelsize=9)
 
 
-def _mark(image: Axes, cells: Axes, detections: Detections, hough: Hough) -> None:
+def _mark(image: Axes, cells: Axes, detections: ScanDetections, hough: Hough) -> None:
     """Draw each wall as a line across the image and a ring around its cell."""
     keys = [
         Line2D([], [], marker="s", ls="", ms=6, mfc="white", mec="black", label="reading"),

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from impslam.evaluation.colours import PALE
 from impslam.evaluation.plots import new_figure, quiet
-from impslam.studies.chapter4_detections import Detections, Jumps
+from impslam.studies.chapter4_detections import Jumps, ScanDetections
 from impslam.studies.chapter4_plot import (
     LEGEND,
     READING,
@@ -26,7 +26,9 @@ from impslam.studies.chapter4_plot import (
 )
 
 
-def jumps_figure(detections: Detections, seen: Jumps, threshold: float, radius: float) -> Figure:
+def jumps_figure(
+    detections: ScanDetections, seen: Jumps, threshold: float, radius: float
+) -> Figure:
     """Draw the scan from above, its ranges, and their derivative with the jumps (Fig. 11)."""
     figure = new_figure(WIDTH + 1.4, 6.4)
     panels: Any = figure.subfigures(1, 2, width_ratios=(1.0, 2.2))
@@ -50,7 +52,7 @@ def jumps_figure(detections: Detections, seen: Jumps, threshold: float, radius: 
     return figure
 
 
-def _objects(ranges: Axes, slopes: Axes, detections: Detections, seen: Jumps) -> None:
+def _objects(ranges: Axes, slopes: Axes, detections: ScanDetections, seen: Jumps) -> None:
     """Shade the objects that were accepted as cylinders, and the rejected ones."""
     begins = {int(o.beams[0]) for o in (*detections.true, *detections.spurious)}
     labels = {True: "taken for a cylinder", False: "dropped: no range in the middle"}

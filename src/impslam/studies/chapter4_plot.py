@@ -19,7 +19,7 @@ from impslam.evaluation.plots import new_figure, quiet
 from impslam.extractors.readings import usable
 from impslam.geometry.se2 import compose, transform
 from impslam.simulation.camera import SceneCamera
-from impslam.studies.chapter4_detections import Detections
+from impslam.studies.chapter4_detections import ScanDetections
 from impslam.studies.chapter4_scans import SceneSnapshot
 from impslam.studies.map_plot import GROUND, draw_scene
 from impslam.types import Array, Observation
@@ -34,7 +34,7 @@ PNG: dict[str, Any] = {"dpi": 150, "bbox_inches": "tight", "pad_inches": 0.1}
 ROBOT = 0.25  # m, radius of the robot's outline
 
 
-def scan_figure(detections: Detections, radius: float = 0.0) -> Figure:
+def scan_figure(detections: ScanDetections, radius: float = 0.0) -> Figure:
     """Draw a scan from above: the truth in pale colours, readings, true and spurious detections.
 
     `radius` (m) is that of the detected cylinders.
@@ -46,14 +46,14 @@ def scan_figure(detections: Detections, radius: float = 0.0) -> Figure:
     return figure
 
 
-def people_figure(detections: Detections) -> Figure:
+def people_figure(detections: ScanDetections) -> Figure:
     """Draw the true scene with people beside (or above) the detected walls (Figs. 18, 19)."""
     box = bounds(detections.snapshot)
     wide = _is_wide(box)
     width, height = _size(box, WIDTH if wide else WIDTH / 2, 6.4)
     figure = new_figure(width, 2 * height) if wide else new_figure(2 * width, height)
     panels = list(figure.subplots(2 if wide else 1, 1 if wide else 2, squeeze=False).flat)
-    bare = Detections(detections.snapshot, (), ())
+    bare = ScanDetections(detections.snapshot, (), ())
     draw_scan(panels[0], bare, box, 0.0, readings=False)
     draw_scan(panels[1], detections, box, 0.0)
     for axes, title in zip(panels, ("(a) the scene", "(b) readings and walls found"), strict=True):
@@ -82,7 +82,11 @@ def _size(box: Sequence[float], width: float, tallest: float) -> tuple[float, fl
 
 
 def draw_scan(
-    axes: Axes, detections: Detections, box: Sequence[float], radius: float, readings: bool = True
+    axes: Axes,
+    detections: ScanDetections,
+    box: Sequence[float],
+    radius: float,
+    readings: bool = True,
 ) -> None:
     """Draw a scan from above in a box (left, right, bottom, top), with its detections."""
     snapshot = detections.snapshot
@@ -100,7 +104,7 @@ def draw_scan(
     quiet(axes)
 
 
-def add_legend(figure: Any, detections: Detections, columns: int) -> None:
+def add_legend(figure: Any, detections: ScanDetections, columns: int) -> None:
     """Put the legend above a figure of scans from above."""
     figure.legend(handles=_keys(detections), loc="outside upper center", ncols=columns, **LEGEND)
 
@@ -141,7 +145,7 @@ def _findings(
         axes.plot(x, y, "x" if spurious else "+", ms=7, mew=1.6, color=colour, zorder=7)
 
 
-def _keys(detections: Detections) -> list[Any]:
+def _keys(detections: ScanDetections) -> list[Any]:
     """Return the legend entries of the true scene."""
     snapshot, found = detections.snapshot, (*detections.true, *detections.spurious)
     kind = found[0].kind if found else ""
@@ -168,7 +172,7 @@ def _dot(label: str, face: str, edge: str) -> Line2D:
     return Line2D([], [], marker="o", ls="", ms=7, mfc=face, mec=edge, label=label)
 
 
-def camera_figure(shown: Detections) -> Figure:
+def camera_figure(shown: ScanDetections) -> Figure:
     """Return the view of the robot's camera at the pose of the scan."""
     snapshot = shown.snapshot
     picture = SceneCamera(snapshot.scene).picture(snapshot.pose, snapshot.time)

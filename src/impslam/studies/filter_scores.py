@@ -14,7 +14,7 @@ from impslam.sweeps.rows import Row, by_variant
 from impslam.types import Array
 
 
-class Cell(NamedTuple):
+class MeanInterval(NamedTuple):
     """A mean over runs and its 95 % interval."""
 
     value: float
@@ -29,8 +29,8 @@ class FilterScore(NamedTuple):
     """Results of a filter on a data set; NaN for values that are not measured."""
 
     runs: int
-    nees: Cell
-    position: Cell  # m
+    nees: MeanInterval
+    position: MeanInterval  # m
     over_optimum: float
     milliseconds: float
     wrong: float  # share of matches
@@ -48,7 +48,7 @@ def score_filters(rows: Iterable[Row], data: str) -> dict[str, FilterScore]:
         name: FilterScore(
             len(runs),
             _interval(_values(runs, "nees"), rng),
-            Cell(*np.sqrt(_interval(_values(runs, "position2"), rng))),
+            MeanInterval(*np.sqrt(_interval(_values(runs, "position2"), rng))),
             _rms(runs, "position2_at_checks") / optimum,
             float(np.median([run["milliseconds"] for run in runs])),
             _share(runs, "wrong", "matched"),
@@ -68,9 +68,9 @@ def _share(runs: Sequence[Row], part: str, whole: str) -> float:
     return sum(run.get(part, 0) for run in runs) / total if total else math.nan
 
 
-def _interval(values: Array, rng: np.random.Generator) -> Cell:
+def _interval(values: Array, rng: np.random.Generator) -> MeanInterval:
     means = resampled_means(values[:, None], rng)[:, 0]
-    return Cell(float(values.mean()), *np.quantile(means, [0.025, 0.975]).tolist())
+    return MeanInterval(float(values.mean()), *np.quantile(means, [0.025, 0.975]).tolist())
 
 
 def _rms(rows: Sequence[Row], metric: str) -> float:

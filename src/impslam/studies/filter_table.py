@@ -23,7 +23,7 @@ from impslam.studies.circle_simulation import HUANG, LONG_LOOP, Setting, Trial, 
 from impslam.studies.consistency_arena import SETTLED
 from impslam.studies.filter_consistency import BATCH, CHECK_EVERY
 from impslam.studies.filter_logs import log_rows
-from impslam.studies.filter_scores import Cell, FilterScore, score_filters
+from impslam.studies.filter_scores import FilterScore, MeanInterval, score_filters
 from impslam.studies.report import Picture, ResultTable, Section, load_text, make_table
 from impslam.studies.sweep import StudyRun, Variant, sweep
 from impslam.sweeps.job import Job
@@ -140,8 +140,8 @@ def world_row(run: StudyRun) -> Row:
 
 
 def _table(data: str, scores: Mapping[str, FilterScore]) -> ResultTable:
-    def number(value: float | Cell, form: str) -> str:
-        mean = value.value if isinstance(value, Cell) else value
+    def number(value: float | MeanInterval, form: str) -> str:
+        mean = value.value if isinstance(value, MeanInterval) else value
         return "" if math.isnan(mean) else f"{value:{form}}"
 
     columns: dict[str, Callable[[FilterScore], str]] = {

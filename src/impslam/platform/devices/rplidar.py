@@ -34,7 +34,7 @@ SPIN_UP_TIME = 4.0  # s until the motor is fast enough for the first measurement
 UART_BITS = 10  # bits on the line per byte: start, 8, stop
 
 
-class Model(NamedTuple):
+class RplidarModel(NamedTuple):
     """Data of a series: limits in m, and whether the host controls its motor."""
 
     name: str
@@ -45,9 +45,9 @@ class Model(NamedTuple):
 
 # Data sheets A1M8 rev. 3.0, A2M8 rev. 2.5 and A3M1 rev. 1.0; for white objects.
 MODELS = {
-    1: Model("A1", 0.15, 12.0, False),
-    2: Model("A2", 0.2, 12.0, True),
-    3: Model("A3", 0.2, 25.0, True),
+    1: RplidarModel("A1", 0.15, 12.0, False),
+    2: RplidarModel("A2", 0.2, 12.0, True),
+    3: RplidarModel("A3", 0.2, 25.0, True),
 }
 
 
@@ -82,7 +82,7 @@ class _Link:
         while time.monotonic() < end:
             read_some(self.port, SETTLING_TIME)
 
-    def set_motor(self, model: Model | None, pwm: int) -> None:
+    def set_motor(self, model: RplidarModel | None, pwm: int) -> None:
         """Set the motor by PWM, if the model has it, and by the adapter's DTR (low: it turns)."""
         with contextlib.suppress(OSError):  # a pseudo-terminal has no such line
             self.port.dtr = pwm == 0
@@ -121,7 +121,7 @@ class RPLidar(Device):
                     link.send(Command.STOP)
                     link.set_motor(model, 0)
 
-    def _identify(self, link: _Link) -> Model:
+    def _identify(self, link: _Link) -> RplidarModel:
         """Query model and health; reset the lidar if it reports an error."""
         link.stop_scan()
         data = link.query(Command.INFO)
@@ -130,7 +130,7 @@ class RPLidar(Device):
                 f"{self.port}: no RPLidar answers; check its supply and baud ({self.baud})"
             )
         info = Info.parse(data)
-        unknown = Model(f"of unknown model 0x{info.model:02X}", math.nan, math.nan, True)
+        unknown = RplidarModel(f"of unknown model 0x{info.model:02X}", math.nan, math.nan, True)
         model = MODELS.get(info.model >> 4, unknown)
         self._check_health(link)
         major, minor = info.firmware
@@ -159,7 +159,7 @@ class RPLidar(Device):
             raise DeviceError(f"{self.port}: the RPLidar answers no more; unplug it for a moment")
         return Condition.parse(data)
 
-    def _measure(self, link: _Link, model: Model) -> None:
+    def _measure(self, link: _Link, model: RplidarModel) -> None:
         """Start the scan and deliver every turn until the end."""
         link.set_motor(model, self.pwm)
         link.parser.reset()
@@ -185,7 +185,7 @@ class RPLidar(Device):
                 )
 
     def _deliver_turn(
-        self, turn: Revolution, clock: NodeClock, model: Model, arrived: float
+        self, turn: Revolution, clock: NodeClock, model: RplidarModel, arrived: float
     ) -> None:
         fitted = clock.fit()
         if fitted is None:

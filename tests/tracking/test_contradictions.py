@@ -6,8 +6,8 @@ import pytest
 from impslam.geometry.se2 import compose
 from impslam.surfaces.features import find_features
 from impslam.surfaces.surface_map import add, empty_surface_map
+from impslam.tracking.beams import Geometry
 from impslam.tracking.contradictions import MIN_CONTRADICTED, contradicted_share
-from impslam.tracking.reference_scan import Geometry
 
 ROOM = [
     [(-2, -2), (3, -2)],

@@ -10,6 +10,7 @@ from tests.tracking.test_contradictions import ANGLES, GEOMETRY, WORLD, scan_at
 
 from impslam.columns import Motions, Scans
 from impslam.geometry.se2 import between
+from impslam.tracking.beams import beam_columns
 from impslam.tracking.contradictions import CLEARANCE, free_ranges
 from impslam.tracking.jump import MAX_INTERVAL, JumpCheck, _is_not_free, _view
 from impslam.tracking.odometry import OdometryTracker
@@ -76,7 +77,7 @@ def shares(
             scans.stamps, d_pose[rows], np.zeros((len(d_pose[rows]), 3, 3)),
             np.full(len(d_pose[rows]), interval),
         )  # fmt: skip
-        out.append(check.find(motions, scans, sensor))
+        out.append(check.find(motions, beam_columns(scans, len(d_pose[rows])), sensor))
     found, confirmed = (np.concatenate(parts) for parts in zip(*out, strict=True))
     return (found, confirmed) if whole else found
 
@@ -172,7 +173,7 @@ def test_scans_of_hardly_any_beam_show_nothing(beams):
         np.zeros((5, beams, 2)), empty, 0.0, 30.0, GEOMETRY.laser,
     )  # fmt: skip
     motions = Motions(scans.stamps, np.zeros((5, 3)), np.zeros((5, 3, 3)), np.full(5, 0.1))
-    assert not JumpCheck().find(motions, scans, "a")[0].any()
+    assert not JumpCheck().find(motions, beam_columns(scans, 5), "a")[0].any()
 
 
 def test_the_keyframe_of_a_carried_robot_restarts_the_gate(monkeypatch):

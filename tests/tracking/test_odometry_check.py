@@ -7,11 +7,13 @@ from tests.tracking.sweeps import motions_of, same, scans_of
 
 from impslam.geometry.se2 import compose
 from impslam.health import NONE
+from impslam.tracking.beams import beam_columns
 from impslam.tracking.odometry_check import OdometryCheck
-from impslam.tracking.surfels import prepare
 from impslam.types import Increment
 
 ROOM = room(-2.0, 3.5, -1.5, 2.2)
+OTHER = room(-2.3, 4.7, -1.8, 1.9)
+"""Three of its walls fit those of `ROOM` if the robot is 0.4 m aside."""
 CORRIDOR = np.array([[[-50.0, 1.0], [50.0, 1.0]], [[50.0, -1.0], [-50.0, -1.0]]])
 STEP = np.array([0.04, 0.0, 0.01])
 PERIOD = 0.1  # s
@@ -20,8 +22,7 @@ COVARIANCE = np.diag([1e-4, 1e-4, 1e-4]) * 0.04
 
 def checked(check, increment, scan):
     """Return the increment that the check returns."""
-    surfels = prepare(scans_of([scan]), check.spacing)
-    motions, reasons, _ = check.check(motions_of([increment]), surfels)
+    motions, reasons, _ = check.check(motions_of([increment]), beam_columns(scans_of([scan]), 1))
     assert (reasons[0] != NONE) != same(motions.row(0), increment)
     return motions.row(0)
 
@@ -81,3 +82,12 @@ def test_silent_odometry_is_contradicted_as_well():
         result = checked(check, increment, cast(ROOM, pose=pose).scan)
         pose = compose(pose, STEP)
     assert not same(result, increment)
+
+
+def test_a_room_of_which_three_walls_fit_shows_no_motion():
+    """The robot is carried to another room while its wheels stand: the scan is of another place."""
+    check = OdometryCheck()
+    for k in range(40):
+        increment = Increment(k * PERIOD, np.zeros(3), np.zeros((3, 3)), PERIOD * (k > 0))
+        result = checked(check, increment, cast(ROOM if k < 20 else OTHER).scan)
+        assert same(result, increment)

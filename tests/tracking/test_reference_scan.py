@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from impslam.tracking.reference_scan import Geometry, changed_beam, ranges_at_once
+from impslam.tracking.beams import Geometry
+from impslam.tracking.reference_scan import changed_beam, ranges_at_once
 
 ANGLES = np.linspace(-1.0, 1.0, 201)
 WALL = 3.0 / np.cos(ANGLES)  # a wall across the path, 3 m ahead

@@ -5,6 +5,7 @@ import pytest
 
 from impslam.columns import Motions, Scans
 from impslam.health import STALLED
+from impslam.tracking.beams import beam_columns
 from impslam.tracking.stall import initial_stall_state, undo_stalled_motion
 
 ANGLES = np.linspace(-2.0, 2.0, 341)
@@ -33,7 +34,9 @@ def driven(steps, odometry, half_length, half_width=1.0, range_max=8.0):
     d_pose[0] = 0.0
     used = Motions(scans.stamps, d_pose.copy(), np.zeros((m, 3, 3)), np.full(m, 0.1))
     reasons = np.zeros(m, np.int8)
-    undo_stalled_motion(d_pose, used, scans, initial_stall_state(len(ANGLES)), reasons)
+    undo_stalled_motion(
+        d_pose, used, beam_columns(scans, m), initial_stall_state(len(ANGLES)), reasons
+    )
     return used, reasons
 
 

@@ -86,6 +86,7 @@ class FitSums(NamedTuple):
     sums: Array
 
 
+@kernel
 def no_evidence() -> FitSums:
     """Return zero evidence, to be filled in place."""
     return FitSums(np.zeros((3, 3)), np.zeros(3), np.zeros(4))

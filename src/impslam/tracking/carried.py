@@ -12,8 +12,9 @@ import math
 from impslam.geometry.kernels import kernel
 from impslam.health import CARRIED, CHANGED
 from impslam.tracking.base import Steps
+from impslam.tracking.beams import BeamColumns
 from impslam.tracking.jump import find_change, forget
-from impslam.tracking.matching_state import BeamColumns, State
+from impslam.tracking.matching_state import State
 from impslam.tracking.reference_scan import ranges_at_once
 
 CERTAIN_SHARE = 0.15

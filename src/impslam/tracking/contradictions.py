@@ -14,7 +14,8 @@ import numpy as np
 from impslam.geometry.chain import advance_pose
 from impslam.geometry.kernels import kernel
 from impslam.surfaces.surface_map import CELL, SurfaceMap
-from impslam.tracking.reference_scan import Geometry, beam_towards, laser_motion, seen_from
+from impslam.tracking.beams import Geometry
+from impslam.tracking.reference_scan import beam_towards, laser_motion, seen_from
 from impslam.types import Array, Mask
 
 MIN_CONTRADICTED = 0.12

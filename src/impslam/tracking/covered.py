@@ -23,8 +23,9 @@ import numpy as np
 
 from impslam.columns import Scans
 from impslam.geometry.chain import advance_pose
-from impslam.geometry.kernels import kernel, plain
-from impslam.tracking.reference_scan import MIN_CHANGE, Geometry, changed_beam, geometry_of
+from impslam.geometry.kernels import kernel
+from impslam.tracking.beams import BeamColumns, Geometry, beam_columns
+from impslam.tracking.reference_scan import MIN_CHANGE, changed_beam
 from impslam.types import Array, Ints, Mask
 
 MIN_MOTION = (0.2, 0.15)
@@ -88,45 +89,34 @@ def initial_cover(beams: int) -> Cover:
 
 def hidden_beams(d_pose: Array, scans: Scans, cover: Cover) -> Mask:
     """Return which beams (m, n) of scans to leave out; `d_pose` (m, 3) is by odometry, before each."""
-    geometry = geometry_of(scans)
     out = np.zeros(scans.valid.shape, np.bool_)
-    valid = np.ascontiguousarray(scans.valid)
-    _hide(d_pose, plain(scans.points), plain(scans.ranges), valid, geometry, cover, out)
+    _hide(d_pose, beam_columns(scans, len(out)), cover, out)
     return out
 
 
 @kernel
-def _hide(
-    d_pose: Array,
-    points: Array,
-    ranges: Array,
-    valid: Mask,
-    geometry: Geometry,
-    cover: Cover,
-    out: Mask,
-) -> None:
+def _hide(d_pose: Array, beams: BeamColumns, cover: Cover, out: Mask) -> None:
     for k in range(len(d_pose)):
         advance_pose(cover.odometry, d_pose[k])
         far = (
             math.hypot(cover.odometry[0], cover.odometry[1]) >= MIN_MOTION[0]
             or abs(cover.odometry[2]) >= MIN_MOTION[1]
         )
-        sudden = _hide_sudden(d_pose[k], ranges[k], valid[k], abs(geometry.spacing), cover)
-        for i in range(len(cover.last)):
-            cover.last[i] = ranges[k, i] if valid[k, i] else 0.0
+        sudden = _hide_sudden(d_pose[k], beams.ranges[k], abs(beams.geometry.spacing), cover)
+        cover.last[:] = beams.ranges[k]
         if far or sudden or not cover.initialised[0]:
             if cover.initialised[0] and not sudden:
-                _compare(ranges[k], valid[k], geometry, cover)
-            cover.initialised[0], cover.odometry[:], cover.points[:] = True, 0.0, points[k]
+                _compare(beams.ranges[k], beams.geometry, cover)
+            cover.initialised[0], cover.odometry[:], cover.points[:] = True, 0.0, beams.points[k]
             cover.ranges[:] = cover.last
         if cover.hidden.any():
             for i in range(len(cover.last)):
                 cover.hidden[i] &= abs(cover.last[i] - cover.ranges[i]) < MIN_CHANGE
-            out[k] = cover.hidden & valid[k]
+            out[k] = cover.hidden & beams.valid[k]
 
 
 @kernel
-def _hide_sudden(step: Array, ranges: Array, valid: Mask, spacing: float, cover: Cover) -> bool:
+def _hide_sudden(step: Array, ranges: Array, spacing: float, cover: Cover) -> bool:
     """Hide beams that have become short since the last scan, if they are many and the others have not."""
     n, moved = len(ranges), math.hypot(step[0], step[1])
     if (
@@ -139,11 +129,11 @@ def _hide_sudden(step: Array, ranges: Array, valid: Mask, spacing: float, cover:
     drop = SUDDEN_COVER[0] + moved
     width = 1 + int(abs(step[2]) / spacing + 0.5)
     many = SUDDEN_COVER[1] / spacing
-    if _count_short(ranges, valid, drop, cover) < many:  # nearly always; what follows is slower
+    if _count_short(ranges, drop, cover) < many:  # nearly always; what follows is slower
         return False
     short, compared, kept = np.zeros(n, np.bool_), 0, 0
     for i in range(n):
-        if not valid[i] or cover.last[i] <= 0.0:
+        if ranges[i] <= 0.0 or cover.last[i] <= 0.0:
             continue
         compared += 1
         shortest = longest = cover.last[i]
@@ -159,27 +149,27 @@ def _hide_sudden(step: Array, ranges: Array, valid: Mask, spacing: float, cover:
         if short[i]:
             cover.same[i] = cover.against[i] = MIN_COMPARISONS
             cover.hidden[i] = True
-            _spread_sudden(i, 1, ranges, valid, cover)
-            _spread_sudden(i, -1, ranges, valid, cover)
+            _spread_sudden(i, 1, ranges, cover)
+            _spread_sudden(i, -1, ranges, cover)
     return True
 
 
 @kernel
-def _count_short(ranges: Array, valid: Mask, drop: float, cover: Cover) -> int:
+def _count_short(ranges: Array, drop: float, cover: Cover) -> int:
     """Return how many beams are shorter than in the last scan by `drop`."""
     count = 0
     for i in range(len(ranges)):
-        count += valid[i] and ranges[i] < MAX_RANGE and ranges[i] < cover.last[i] - drop
+        count += 0.0 < ranges[i] < MAX_RANGE and ranges[i] < cover.last[i] - drop
     return count
 
 
 @kernel
-def _spread_sudden(first: int, step: int, ranges: Array, valid: Mask, cover: Cover) -> None:
+def _spread_sudden(first: int, step: int, ranges: Array, cover: Cover) -> None:
     """Hide the neighbours on one side that are on the same surface."""
     i = first + step
     while (
         0 <= i < len(ranges)
-        and valid[i]
+        and ranges[i] > 0.0
         and abs(ranges[i] - ranges[i - step]) < MAX_STEP_ON_SURFACE
     ):
         if cover.hidden[i] or ranges[i] >= MAX_RANGE:
@@ -189,14 +179,13 @@ def _spread_sudden(first: int, step: int, ranges: Array, valid: Mask, cover: Cov
 
 
 @kernel
-def _compare(ranges: Array, valid: Mask, geometry: Geometry, cover: Cover) -> None:
+def _compare(ranges: Array, geometry: Geometry, cover: Cover) -> None:
     """Compare a scan with the reference scan, and find the hidden beams."""
     n, near, same = len(ranges), 0, np.zeros(len(ranges), np.bool_)
     for i in range(n):
         r = cover.ranges[i]
         same[i] = (
-            valid[i]
-            and r > 0.0
+            min(ranges[i], r) > 0.0
             and abs(ranges[i] - r) < RANGE_TOLERANCE[0] + RANGE_TOLERANCE[1] * r
         )
         if same[i] and r < MAX_RANGE:
@@ -208,9 +197,7 @@ def _compare(ranges: Array, valid: Mask, geometry: Geometry, cover: Cover) -> No
     if near < MIN_SHARE * n:  # they would be too few, whatever the motion
         return
     predicted = _predicted_ranges(geometry, cover, 0.0)
-    confirmed = _is_confirmed(
-        _predicted_ranges(geometry, cover, MAX_RANGE), ranges, valid, cover.ranges
-    )
+    confirmed = _is_confirmed(_predicted_ranges(geometry, cover, MAX_RANGE), ranges, cover.ranges)
     for i in range(n):
         if not confirmed and not cover.hidden[i]:
             cover.against[i] = 0
@@ -235,11 +222,11 @@ def _predicted_ranges(geometry: Geometry, cover: Cover, nearest: float) -> Array
 
 
 @kernel
-def _is_confirmed(predicted: Array, ranges: Array, valid: Mask, reference: Array) -> bool:
+def _is_confirmed(predicted: Array, ranges: Array, reference: Array) -> bool:
     """Return whether the ranges beyond `MAX_RANGE` changed as predicted."""
     due = confirming = 0
     for i in range(len(ranges)):
-        if predicted[i] > 0.0 and valid[i] and reference[i] >= MAX_RANGE:
+        if min(predicted[i], ranges[i]) > 0.0 and reference[i] >= MAX_RANGE:
             due += 1
             change = abs(predicted[i] - reference[i])
             confirming += abs(ranges[i] - predicted[i]) < MAX_DEVIATION * change

@@ -14,18 +14,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from impslam.columns import Motions, Scans
+from impslam.columns import Motions
 from impslam.geometry.chain import advance_pose
-from impslam.geometry.kernels import kernel, plain
+from impslam.geometry.kernels import kernel
+from impslam.tracking.beams import BeamColumns, Geometry
 from impslam.tracking.contradictions import CLEARANCE, TURN_CLEARANCE, free_ranges
 from impslam.tracking.per_lidar import PerLidar
-from impslam.tracking.reference_scan import (
-    Geometry,
-    geometry_of,
-    laser_motion,
-    ranges_at_once,
-    seen_from,
-)
+from impslam.tracking.reference_scan import laser_motion, ranges_at_once, seen_from
 from impslam.types import Array, Ints, Mask
 
 STATIC_TIME = 1.0
@@ -88,36 +83,32 @@ class JumpCheck:
         self._pose, self._time = np.zeros(3), np.zeros(1)
         self._past = PerLidar(no_past)
 
-    def find(self, motions: Motions, scans: Scans, sensor: str) -> tuple[Array, Mask]:
+    def find(self, motions: Motions, beams: BeamColumns, sensor: str) -> tuple[Array, Mask]:
         """Return the share (m,) of the beams that show a jump, else 0, and whether it is confirmed (m,).
 
         `motions` are those before each of these scans, since the scan of any lidar before.
         """
-        m, beams = scans.ranges.shape
-        shares, confirmed, past = np.zeros(m), np.zeros(m, np.bool_), self._past.get(sensor, beams)
-        ranges = plain(np.where(scans.valid, scans.ranges, 0.0))
-        motion = plain(motions.d_pose), plain(motions.duration)
-        beams = ranges, plain(scans.directions)
-        now, results = (self._pose, self._time), (shares, confirmed)
-        _find(motion, beams, now, past, geometry_of(scans), results)
+        m, n = beams.ranges.shape
+        past, results = self._past.get(sensor, n), (np.zeros(m), np.zeros(m, np.bool_))
+        _find(motions, beams, self._pose, self._time, past, results)
         return results
 
 
 @kernel
 def _find(
-    motions: tuple[Array, Array],
-    beams: tuple[Array, Array],
-    now: tuple[Array, Array],
+    motions: Motions,
+    beams: BeamColumns,
+    pose: Array,
+    time: Array,
     past: PastScans,
-    geometry: Geometry,
     results: tuple[Array, Mask],
 ) -> None:
-    (d_pose, duration), (pose, time), (shares, confirmed) = motions, now, results
-    for k in range(len(d_pose)):
-        advance_pose(pose, d_pose[k])
-        time[0] += duration[k]
-        ranges = ranges_at_once(beams[0][k], beams[1][k], geometry)
-        shares[k], _, confirmed[k] = find_change(ranges, pose, time[0], past, geometry)
+    shares, confirmed = results
+    for k in range(len(motions.d_pose)):
+        advance_pose(pose, motions.d_pose[k])
+        time[0] += motions.duration[k]
+        ranges = ranges_at_once(beams.ranges[k], beams.directions[k], beams.geometry)
+        shares[k], _, confirmed[k] = find_change(ranges, pose, time[0], past, beams.geometry)
 
 
 @kernel

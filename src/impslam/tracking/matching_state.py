@@ -8,7 +8,6 @@ from impslam.surfaces.surface_map import Alignment, FitSums
 from impslam.tracking.jump import PastScans
 from impslam.tracking.learned_odometry import LearnedOdometry
 from impslam.tracking.match_faults import MatchFaults, MatchQuality
-from impslam.tracking.reference_scan import Geometry
 from impslam.tracking.submaps import Submaps
 from impslam.types import Array, Ints, Mask
 
@@ -104,21 +103,6 @@ class State(NamedTuple):
     places: Ints
     proven: Array
     lidar: LidarState
-
-
-class BeamColumns(NamedTuple):
-    """The columns of `Scans` that matching uses, with ranges of 0 where invalid, and beam directions.
-
-    Without odometry, `points`, `origins` and `directions` are de-skewed in place, if `after` is not empty.
-    """
-
-    points: Array
-    valid: Mask
-    ranges: Array
-    origins: Array
-    directions: Array
-    after: Array
-    geometry: Geometry
 
 
 class Match(NamedTuple):

@@ -9,11 +9,11 @@ from impslam.columns import Motions, Sweeps
 from impslam.component import register
 from impslam.health import CARRIED, CHANGED, MISTIMED
 from impslam.tracking.base import Gate, Steps, Tracker, mark_keyframes
+from impslam.tracking.beams import beam_columns
 from impslam.tracking.jump import JumpCheck
 from impslam.tracking.odometry_check import OdometryCheck
 from impslam.tracking.per_lidar import PerLidar
 from impslam.tracking.stall import StallState, initial_stall_state, undo_stalled_motion
-from impslam.tracking.surfels import prepare
 from impslam.tracking.traction import Traction
 
 
@@ -30,21 +30,18 @@ class OdometryTracker(Tracker):
 
     def steps(self, motions: Motions, sweeps: Sweeps, gate: Gate) -> Steps:
         """Follow odometry; see `Tracker.steps`."""
-        scans, m = sweeps.scans, len(sweeps)
+        m, beams = len(sweeps), beam_columns(sweeps.scans, len(sweeps))
         motions = motions._replace(covariance=motions.covariance.copy())
         slipped = self._traction.widen(motions.duration, motions.d_pose, motions.covariance)
-        surfels = None if scans is None else prepare(scans, OdometryCheck.spacing)
-        checked, reasons, amounts = self._check.check(motions, surfels)
-        if scans is not None:
-            stall = self._stalls.get(sweeps.sensor, scans.ranges.shape[1])
-            undo_stalled_motion(motions.d_pose, checked, scans, stall, reasons)
+        checked, reasons, amounts = self._check.check(motions, beams)
+        stall = self._stalls.get(sweeps.sensor, beams.ranges.shape[1])
+        undo_stalled_motion(motions.d_pose, checked, beams, stall, reasons)
         reasons = np.maximum(reasons, slipped)
         amounts[reasons > MISTIMED] = 0.0
-        if scans is not None:
-            shares, confirmed = self._jumps.find(checked, scans, sweeps.sensor)
-            changed = shares > 0.0
-            reasons[changed], amounts[changed] = CHANGED, shares[changed]
-            reasons[confirmed] = CARRIED
+        shares, confirmed = self._jumps.find(checked, beams, sweeps.sensor)
+        changed = shares > 0.0
+        reasons[changed], amounts[changed] = CHANGED, shares[changed]
+        reasons[confirmed] = CARRIED
         keyframes = mark_keyframes(checked.d_pose, motions.duration, reasons == CARRIED, gate)
         return Steps(
             checked.d_pose, checked.covariance, checked.d_pose, np.ones(m, np.bool_), keyframes,

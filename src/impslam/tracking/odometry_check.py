@@ -1,13 +1,13 @@
 """Check odometry against scan matching, and replace it if the two disagree.
 
 If a wheel slips, or an encoder freezes or goes silent, odometry reports little or no motion, with almost no
-covariance, because its noise grows with the reported distance. Here scans are matched with the last metres
-of the path, with a prior too wide for odometry to constrain the result. Over a few seconds the two motions
-must agree: their difference d has the covariance S of odometry and of matching together, and d^T S^-1 d is
-chi-square distributed with three degrees of freedom (Bar-Shalom et al. 2001, ch. 5.4). Only odometry that
-misses motion, or reports a turn that the scans do not show, is tested; a robot that is stationary while its
-wheels turn is detected by `stall`. Beyond the gate, the motion from the scans replaces odometry from the
-beginning of that window on. A stationary robot is not contradicted, so its covariance does not grow.
+covariance, because its noise grows with the reported distance. Here scans are matched with submaps, with
+a prior too wide for odometry to constrain the result. Over a few seconds the two motions must agree: their
+difference d has the covariance S of odometry and of matching together, and d^T S^-1 d is chi-square
+distributed with three degrees of freedom (Bar-Shalom et al. 2001, ch. 5.4). Only odometry that misses
+motion, or reports a turn that the scans do not show, is tested; a robot that is stationary while its wheels
+turn is detected by `stall`. Beyond the gate, the motion from the scans replaces odometry from the beginning
+of that window on. A stationary robot is not contradicted, so its covariance does not grow.
 Trackers that match scans do not need this check.
 """
 
@@ -19,14 +19,16 @@ from typing import NamedTuple
 import numpy as np
 
 from impslam.columns import Motions
-from impslam.geometry.algebra import between, rotate_covariance, solve
+from impslam.geometry.algebra import between, invert, rotate_covariance, solve
 from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.chain import advance, advance_pose
 from impslam.geometry.kernels import kernel
 from impslam.health import NONE, OPPOSED, PUSHED, SLIPPED, Reasons
-from impslam.tracking.icp import Settings, match
-from impslam.tracking.local_map import LocalMap, empty_map
-from impslam.tracking.match_faults import turns_oppose
+from impslam.surfaces.features import Features, leave_out_oblique
+from impslam.surfaces.surface_map import Alignment, align, no_evidence
+from impslam.tracking.beams import BeamColumns, find_beam_features
+from impslam.tracking.match_faults import INITIAL_SHARE, turns_oppose
+from impslam.tracking.match_information import add_drift, remove_spurious
 from impslam.tracking.offsets import (
     Offsets,
     check_offsets,
@@ -34,7 +36,7 @@ from impslam.tracking.offsets import (
     interrupt,
     newest_offset,
 )
-from impslam.tracking.surfels import Surfels, thin
+from impslam.tracking.submaps import Submaps, empty_submaps, extend, is_empty, older_map
 from impslam.types import Array, Ints, Mask
 
 WINDOW = 3.0
@@ -67,18 +69,19 @@ MATCH_INTERVAL = np.array([0.25, 0.2, 0.2])
 """s, m, rad: a scan is matched after this much since the last match. These are steps of the window of 3 s;
 a scan still overlaps the last one, so that its points find their partners even if odometry is frozen. While
 odometry is contradicted each scan is matched, because matching gives its motion."""
-MEMORY = 6.0
-"""m of travel after which points are forgotten."""
-SETTINGS = Settings(
-    sigma=0.02,
-    reach=0.5,
-    spacing=0.1,
-    memory=MEMORY,
-    iterations=15,
-    min_share=0.5,
-    drift=np.array([0.03, 0.02, 0.02, 0.04]),
-)
-"""Scan matching: points 10 cm apart, half of which must find a partner."""
+LENGTH, REACH = 12.0, 50.0
+"""m that a submap lasts for, and range of the points in it; as in `ScanToMap`."""
+MIN_POINTS, SPACING = 10, 0.1
+"""Points that matching needs, and m between them: a check needs fewer than `ScanToMap`."""
+MIN_SHARE, MIN_FIT = 0.5, 0.9
+"""Share of the points that must fit the submap, and the same relative to the usual share: three walls of
+four may fit elsewhere, and people cover less than a tenth of most scans."""
+SHARE_MEMORY = 0.1
+"""Weight of the newest scan in the usual share: ten scans, a few metres."""
+MATCHING = Alignment(14, 0.4, 0.06, 0.035**-2, 1, math.inf)
+"""Settings of `ScanToMap`, and a prior without heavy tails."""
+DRIFT = np.array([0.03, 0.02, 0.02, 0.04])
+"""m/sqrt(m) along and across the path, rad/sqrt(m), rad/sqrt(rad): drift of matched motion."""
 
 
 class CheckedMotions(NamedTuple):
@@ -119,6 +122,8 @@ class PendingMotion(NamedTuple):
     contradicted : (1,) whether that scan contradicted odometry
     turns : (2,) see `match_faults.turns_oppose`
     offsets : of the lidar's mount and clock
+    place : (3,) pose of that scan in the frame of the submaps
+    usual : (1,) mean share of the points that fit the submap
     """
 
     pose: Array
@@ -127,12 +132,12 @@ class PendingMotion(NamedTuple):
     contradicted: Mask
     turns: Array
     offsets: Offsets
+    place: Array
+    usual: Array
 
 
 class OdometryCheck:
     """Compares odometry with scans, and returns the motion from the scans if they disagree."""
-
-    spacing = SETTINGS.spacing
 
     def __init__(self) -> None:
         matched, odometry, used = (np.zeros((MAX_SCANS, 3)) for _ in range(3))
@@ -140,19 +145,19 @@ class OdometryCheck:
         self._places = MatchHistory(np.zeros(MAX_SCANS), matched, odometry, used, spread, ring)
         self._pending = PendingMotion(
             np.zeros(3), np.zeros((3, 3)), np.zeros(2), np.zeros(1, np.bool_), np.zeros(2),
-            initial_offsets(),
+            initial_offsets(), np.zeros(3), np.full(1, INITIAL_SHARE[0]),
         )  # fmt: skip
-        self._known = empty_map()
+        self._submaps = empty_submaps(REACH + LENGTH)
 
-    def check(self, motions: Motions, surfels: Surfels | None) -> CheckedMotions:
+    def check(self, motions: Motions, beams: BeamColumns) -> CheckedMotions:
         """Return the motions to use for these sweeps; call it once for each sweep."""
         amounts = np.zeros(len(motions.stamps))
-        if surfels is None:
+        if not beams.points.shape[1]:
             return CheckedMotions(motions, np.zeros(len(amounts), np.int8), amounts)
         d_pose, covariance = motions.d_pose.copy(), motions.covariance.copy()
         taken = motions._replace(d_pose=d_pose, covariance=covariance)
         reasons = _check(
-            taken, surfels, self._known, SETTINGS, self._places, self._pending, amounts
+            taken, beams, self._submaps, MATCHING, self._places, self._pending, amounts
         )
         return CheckedMotions(taken, reasons, amounts)
 
@@ -160,9 +165,9 @@ class OdometryCheck:
 @kernel
 def _check(
     motions: Motions,
-    surfels: Surfels,
-    local_map: LocalMap,
-    settings: Settings,
+    beams: BeamColumns,
+    submaps: Submaps,
+    matching: Alignment,
     history: MatchHistory,
     pending: PendingMotion,
     amounts: Array,
@@ -170,6 +175,7 @@ def _check(
     """Replace, in place, the motions that the scans contradict; return the reasons (m,), fill amounts."""
     stamps, d_pose, covariance, _ = motions
     out, before = np.zeros(len(d_pose), np.int8), np.empty(3)
+    features = np.empty((beams.points.shape[1], 5), np.float32)
     for k in range(len(d_pose)):
         # The clock may be set back or ahead.
         elapsed = min(max(stamps[k] - pending.clock[1], 0.0), WINDOW) if history.ring[1] else 0.0
@@ -180,11 +186,11 @@ def _check(
         if not _due(history, pending):
             out[k], amounts[k] = newest_offset(pending.offsets)
             continue
-        points = surfels.rows[surfels.starts[k] : surfels.starts[k + 1]]
-        points = thin(points, settings.spacing, True)
+        count = find_beam_features(beams, k, SPACING, features)
+        count = leave_out_oblique(features[:count])
         motion, wide = pending.pose.copy(), pending.covariance.copy()
         _widen(wide, pending.clock[0])
-        if match(motion, wide, points, local_map, settings):
+        if _match(motion, wide, features[:count], pending, submaps, matching):
             out[k] = _find_contradiction(before, motion, wide, history, pending)
             if out[k] != NONE:
                 _substitute(d_pose[k], covariance[k], before, motion, wide, history)
@@ -217,6 +223,61 @@ def _widen(covariance: Array, seconds: float) -> None:
     """Add the uncertainty of a motion whose odometry is not trusted."""
     for a in range(3):
         covariance[a, a] += UNKNOWN_MOTION_SIGMA[a] ** 2 * seconds
+
+
+@kernel
+def _match(
+    motion: Array,
+    covariance: Array,
+    features: Features,
+    pending: PendingMotion,
+    submaps: Submaps,
+    matching: Alignment,
+) -> bool:
+    """Refine, in place, the motion (3,), (3, 3) since the last scan; add the scan to the submaps.
+
+    It stays that of odometry, with its covariance, if too few points fit. Returns whether odometry and scan
+    have a solution; without one nothing changes.
+    """
+    place = pending.place
+    can_match = len(features) >= MIN_POINTS and not is_empty(submaps)
+    if can_match and not _refine(motion, covariance, features, pending, submaps, matching):
+        return False
+    advance_pose(place, motion)
+    submaps.travelled[0] += math.hypot(motion[0], motion[1])
+    extend(submaps, features, place, LENGTH)
+    return True
+
+
+@kernel
+def _refine(
+    motion: Array,
+    covariance: Array,
+    features: Features,
+    pending: PendingMotion,
+    submaps: Submaps,
+    matching: Alignment,
+) -> bool:
+    """Refine the motion if enough points fit the submap; return whether there is a solution."""
+    place, usual = pending.place, pending.usual[0]
+    pose, prior = place.copy(), rotate_covariance(covariance, place[2])
+    advance_pose(pose, motion)
+    if not invert(prior):
+        return False
+    weights, evidence = np.array([prior[0, 0], prior[1, 1], prior[2, 2]]), no_evidence()
+    share = align(older_map(submaps), features, pose, weights, matching, evidence)
+    pending.usual[0] += SHARE_MEMORY * (share - usual)
+    if share < max(MIN_SHARE, MIN_FIT * usual):
+        return True
+    information = matching.information * evidence.H
+    remove_spurious(information)
+    information += prior
+    if not (np.isfinite(pose).all() and invert(information)):
+        return False
+    between(place, pose, motion)
+    covariance[:] = rotate_covariance(information, -place[2])
+    add_drift(motion, DRIFT, covariance)
+    return True
 
 
 @kernel
@@ -319,7 +380,7 @@ def _substitute(
     else:
         between(matched, new_motion, extra)
     distance, turn = math.hypot(matched[0], matched[1]), abs(matched[2])
-    rate = MATCH_ERROR_SHARE**2 * MEMORY
+    rate = MATCH_ERROR_SHARE**2 * LENGTH
     d_pose[:] = new_motion
     for a in range(3):
         for b in range(3):

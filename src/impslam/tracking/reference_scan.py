@@ -3,33 +3,17 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
-from impslam.columns import Scans
 from impslam.geometry.algebra import between
 from impslam.geometry.chain import advance_pose
-from impslam.geometry.kernels import kernel, plain
+from impslam.geometry.kernels import kernel
+from impslam.tracking.beams import Geometry
 from impslam.types import Array
 
 MIN_CHANGE = 0.1
 """m: predicted change of a range that is large enough to be tested: ten times a lidar's noise."""
-
-
-class Geometry(NamedTuple):
-    """Directions of beams: pose (3,) of the laser in base_link, first angle and spacing in rad."""
-
-    laser: Array
-    first: float
-    spacing: float
-
-
-def geometry_of(scans: Scans) -> Geometry:
-    """Return the directions of the beams of scans; the spacing of fewer than two is 0."""
-    angles = scans.angles if len(scans.angles) else np.zeros(1)
-    spacing = (angles[-1] - angles[0]) / max(len(angles) - 1, 1)
-    return Geometry(plain(scans.laser), float(angles[0]), float(spacing))
 
 
 @kernel

@@ -18,9 +18,10 @@ from impslam.geometry.chain import advance, advance_pose
 from impslam.geometry.kernels import kernel
 from impslam.health import ELSEWHERE, UNEXPLAINED
 from impslam.noise import UNKNOWN
-from impslam.surfaces.features import Features, find_features, leave_out_oblique
+from impslam.surfaces.features import Features, leave_out_oblique
 from impslam.surfaces.surface_map import Alignment, align
 from impslam.tracking.base import Gate, Steps, add_travel, reaches_limit
+from impslam.tracking.beams import BeamColumns, find_beam_features
 from impslam.tracking.carried import begin_place, notice_carried
 from impslam.tracking.contradictions import MIN_CONTRADICTED, contradicted_share
 from impslam.tracking.due import is_due
@@ -49,7 +50,7 @@ from impslam.tracking.match_faults import (
     fits_poorly,
 )
 from impslam.tracking.match_information import add_along, add_drift, information, remove_spurious
-from impslam.tracking.matching_state import BeamColumns, Match, Settings, State
+from impslam.tracking.matching_state import Match, Settings, State
 from impslam.tracking.self_deskewing import deskew, set_twist
 from impslam.tracking.submaps import extend, is_empty, older_map
 from impslam.types import Array
@@ -197,10 +198,7 @@ def _find_features(
     beams: BeamColumns, k: int, no_odometry: bool, settings: Settings, out: Features
 ) -> int:
     """Fill `out` with the features of sweep k to match; return their number."""
-    count = find_features(
-        beams.points[k], beams.valid[k], beams.ranges[k], beams.origins[k],
-        abs(beams.geometry.spacing), settings.thin, out,
-    )  # fmt: skip
+    count = find_beam_features(beams, k, settings.thin, out)
     if no_odometry:
         count = leave_out_oblique(out[:count])
     return count

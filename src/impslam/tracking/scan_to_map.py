@@ -7,28 +7,25 @@ from typing import ClassVar
 import numpy as np
 from pydantic import PrivateAttr
 
-from impslam.columns import Motions, Scans, Sweeps
+from impslam.columns import Motions, Sweeps
 from impslam.component import parameter, register
-from impslam.geometry.kernels import plain
 from impslam.noise import MotionNoise
 from impslam.surfaces.surface_map import Alignment, no_evidence
 from impslam.tracking.base import Gate, Steps, Tracker
+from impslam.tracking.beams import beam_columns
 from impslam.tracking.intervals import no_intervals
 from impslam.tracking.jump import no_past
 from impslam.tracking.learned_odometry import initial_odometry
 from impslam.tracking.match_faults import initial_faults
 from impslam.tracking.matching_state import (
-    BeamColumns,
     FrozenOdometry,
     LidarState,
     Settings,
     State,
 )
 from impslam.tracking.per_lidar import PerLidar
-from impslam.tracking.reference_scan import Geometry, geometry_of
 from impslam.tracking.scan_matching import USUAL_RMS, USUAL_SHARE, follow
 from impslam.tracking.submaps import empty_submaps
-from impslam.types import Array
 
 
 @register("scan_to_map")
@@ -117,7 +114,7 @@ class ScanToMap(Tracker):
 
     def steps(self, motions: Motions, sweeps: Sweeps, gate: Gate) -> Steps:
         """Match each sweep with the submaps; see `Tracker.steps`."""
-        beams = _beams(sweeps.scans, len(sweeps))
+        beams = beam_columns(sweeps.scans, len(sweeps))
         lidar = self._seen.get(sweeps.sensor, beams.ranges.shape[1])
         m = len(sweeps)
         reference, ends, located = np.zeros((3, m), np.bool_)
@@ -133,21 +130,3 @@ class ScanToMap(Tracker):
 def _no_scans(beams: int) -> LidarState:
     """Return the state of a lidar with this number of beams before its first scan."""
     return LidarState(np.zeros(beams), np.zeros(3), np.full(3, np.nan), no_past(beams))
-
-
-def _beams(scans: Scans | None, m: int) -> BeamColumns:
-    """Return the beams of m sweeps; no beams unless the sensor is a lidar."""
-    if scans is None:
-        none: Array = np.zeros((m, 0))
-        geometry = Geometry(np.zeros(3), 0.0, 0.0)
-        ends = np.zeros((m, 0, 2))
-        return BeamColumns(ends, none.astype(np.bool_), none, ends, none, np.zeros(0), geometry)
-    return BeamColumns(
-        plain(scans.points),
-        np.ascontiguousarray(scans.valid),
-        plain(np.where(scans.valid, scans.ranges, 0.0)),
-        plain(scans.origins),
-        plain(scans.directions),
-        np.zeros(0) if scans.after is None else plain(scans.after),
-        geometry_of(scans),
-    )

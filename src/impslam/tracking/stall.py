@@ -16,12 +16,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from impslam.columns import Motions, Scans
+from impslam.columns import Motions
 from impslam.geometry.algebra import between
 from impslam.geometry.chain import advance_pose
-from impslam.geometry.kernels import kernel, plain
+from impslam.geometry.kernels import kernel
 from impslam.health import STALLED, Reasons
-from impslam.tracking.reference_scan import Geometry, changed_beam, geometry_of
+from impslam.tracking.beams import BeamColumns, Geometry
+from impslam.tracking.reference_scan import changed_beam
 from impslam.types import Array, Mask
 
 MIN_MOTION = (0.2, 0.15)
@@ -53,14 +54,6 @@ class StallState(NamedTuple):
     flags: Mask
 
 
-class ScanRows(NamedTuple):
-    """Columns of m sweeps of n beams: points (m, n, 2) in base_link, ranges and valid (m, n)."""
-
-    points: Array
-    ranges: Array
-    valid: Mask
-
-
 def initial_stall_state(beams: int) -> StallState:
     """Return the state before the first scan of a lidar with this number of beams."""
     return StallState(
@@ -68,27 +61,15 @@ def initial_stall_state(beams: int) -> StallState:
     )
 
 
+@kernel
 def undo_stalled_motion(
-    odometry: Array, used: Motions, scans: Scans, state: StallState, reasons: Reasons
+    odometry: Array, used: Motions, beams: BeamColumns, state: StallState, reasons: Reasons
 ) -> None:
     """Undo, in place, the motions used while the robot was stalled; mark these sweeps `STALLED`.
 
     `odometry` (m, 3) are the motions by odometry, `used` those handed on; both belong to the sweeps in
-    `scans`.
+    `beams`.
     """
-    rows = ScanRows(plain(scans.points), plain(scans.ranges), np.ascontiguousarray(scans.valid))
-    _undo(odometry, used, rows, geometry_of(scans), state, reasons)
-
-
-@kernel
-def _undo(
-    odometry: Array,
-    used: Motions,
-    rows: ScanRows,
-    geometry: Geometry,
-    state: StallState,
-    reasons: Reasons,
-) -> None:
     before, origin = np.empty(3), np.zeros(3)
     for k in range(len(odometry)):
         before[:] = state.used
@@ -101,7 +82,7 @@ def _undo(
                 continue
         # A stalled robot moves off in the direction of the newest motion.
         expected = odometry[k] if state.flags[1] else state.odometry
-        changed, same = _compare(rows.ranges[k], rows.valid[k], expected, geometry, state)
+        changed, same = _compare(beams.ranges[k], expected, beams.geometry, state)
         stalled = changed >= MIN_BEAMS and same >= MIN_UNCHANGED * changed
         state.flags[1] = state.flags[0] and stalled
         state.odometry[:] = 0.0
@@ -113,20 +94,13 @@ def _undo(
             state.used[:] = 0.0
             reasons[k] = STALLED
         else:
-            _set_reference(rows.points[k], rows.ranges[k], rows.valid[k], state)
-
-
-@kernel
-def _set_reference(points: Array, ranges: Array, valid: Mask, state: StallState) -> None:
-    state.flags[0], state.used[:] = True, 0.0
-    state.points[:] = points
-    for i in range(len(ranges)):
-        state.ranges[i] = ranges[i] if valid[i] else 0.0
+            state.flags[0], state.used[:] = True, 0.0
+            state.points[:], state.ranges[:] = beams.points[k], beams.ranges[k]
 
 
 @kernel
 def _compare(
-    ranges: Array, valid: Mask, expected: Array, geometry: Geometry, state: StallState
+    ranges: Array, expected: Array, geometry: Geometry, state: StallState
 ) -> tuple[int, int]:
     """Return the number of beams that a motion (3,) should have changed, and of those that it did not.
 
@@ -138,7 +112,7 @@ def _compare(
     changed = same = 0
     for j in range(len(ranges)):
         k, _ = changed_beam(j, motion, state.points, state.ranges, geometry)
-        if k >= 0 and valid[k]:
+        if k >= 0 and ranges[k] > 0.0:
             changed += 1
             tolerance = RANGE_TOLERANCE[0] + RANGE_TOLERANCE[1] * state.ranges[k]
             same += abs(ranges[k] - state.ranges[k]) < tolerance

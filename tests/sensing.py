@@ -11,8 +11,8 @@ import numpy as np
 
 from impslam.columns import single_row
 from impslam.geometry.se2 import compose, exp, inverse, log
-from impslam.holding import MAX_ROWS
 from impslam.odometry.clocks import Clocks
+from impslam.odometry.holding import MAX_ROWS
 from impslam.odometry.stream import OdometryStream
 from impslam.odometry.synchroniser import MAX_WAIT, MIN_DURATION
 from impslam.types import Increment

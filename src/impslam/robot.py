@@ -16,16 +16,16 @@ from dataclasses import replace
 import numpy as np
 
 from impslam.columns import Batch, Columns, Motions, Sweeps
-from impslam.holding import Holding
 from impslam.noise import SystematicErrors
 from impslam.odometry.base import Odometry, diagonal
 from impslam.odometry.clocks import BY_ORDER, Placed
 from impslam.odometry.gyro import GyroFusion
+from impslam.odometry.holding import Holding
+from impslam.odometry.pending import PendingQueue, PendingRows
 from impslam.odometry.stream import OdometryStream, unknown_motions
 from impslam.odometry.stream_clocks import StreamClocks
-from impslam.odometry.synchroniser import END, Synchroniser
+from impslam.odometry.synchroniser import END, PendingSweeps, Synchroniser
 from impslam.odometry.turn_errors import TurnErrors
-from impslam.pending import PendingQueue, PendingRows
 from impslam.sensors.base import Sensor
 from impslam.sources.base import Problems
 from impslam.streams import Reader, Streams
@@ -200,9 +200,9 @@ class Robot:
             first = int(np.argmin(usable))
             example, count = sensor.fault(columns.row(first)), int(np.sum(~usable))
             self._faults.append((int(columns.order[first]), sensor.row_name, example, count))
-        return PendingRows(
-            name, sensor, columns, columns.order, begins, ends, placed.times, usable, by_order
-        )
+        order = columns.order
+        times = PendingSweeps(order, begins, ends, placed.times, usable, by_order)
+        return PendingRows(name, sensor, columns, times)
 
     def _synchronise(
         self, order: Ints, motions: Motions, rows: list[PendingRows], last: int

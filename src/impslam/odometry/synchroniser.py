@@ -70,6 +70,10 @@ class PendingSweeps(NamedTuple):
     usable: Mask
     by_order: Mask
 
+    def take(self, rows: slice | Ints | Mask) -> PendingSweeps:
+        """Return some of the sweeps."""
+        return PendingSweeps._make(column[rows] for column in self)
+
 
 class Synchronised(NamedTuple):
     """The motions of the first r pending sweeps; rows of unusable sweeps are undefined.
@@ -85,6 +89,11 @@ class Synchronised(NamedTuple):
     twists: Array
     T_middle_stamp: Array
     stamp_covariance: Array
+
+    def take(self, rows: Ints) -> Synchronised:
+        """Return some of the rows."""
+        motions, *columns = self
+        return Synchronised(motions.take(rows), *(column[rows] for column in columns))
 
 
 class Synchroniser:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from impslam.pending import PendingRows
+from impslam.odometry.pending import PendingRows
 from impslam.types import Array, Ints
 
 MAX_ROWS = 2000
@@ -35,15 +35,14 @@ class _Held:
         of the first later row of this sensor. An index of r is after the batch.
         """
         by_time = np.searchsorted(newest, self.due)
-        by_time = np.maximum(by_time, np.searchsorted(order, self.rows.order))
-        indices = np.minimum(by_time, np.searchsorted(order, self.rows.order + MAX_ROWS))
+        by_time = np.maximum(by_time, np.searchsorted(order, self.rows.times.order))
+        indices = np.minimum(by_time, np.searchsorted(order, self.rows.times.order + MAX_ROWS))
         return np.minimum.accumulate(np.append(indices, limit)[::-1])[:0:-1]
 
     def removed(self, reached: Ints, order: Ints) -> PendingRows:
         """Remove the first rows, which are due at these indices, and return them."""
         count = len(reached)
-        leaving = self.rows.take(slice(count))
-        leaving.order = order[reached]
+        leaving = self.rows.take(slice(count)).at(order[reached])
         self.rows, self.due = self.rows.take(slice(count, None)), self.due[count:]
         return leaving
 
@@ -79,8 +78,8 @@ class Holding:
             return rows
         newest = np.maximum.accumulate(np.append(self._newest, times))[1:]
         for one in rows:
-            arrived = newest[np.searchsorted(order, one.order)]
-            wait = np.where(one.by_order, 0.0, self._waits[one.name])
+            arrived = newest[np.searchsorted(order, one.times.order)]
+            wait = np.where(one.times.by_order, 0.0, self._waits[one.name])
             self._held.append(_Held(one, arrived + wait))
         self._newest, self._last = float(newest[-1]), int(order[-1])
         released, first = list[PendingRows](), dict[str, int]()
@@ -90,12 +89,10 @@ class Holding:
             first[held.rows.name] = int(reached[0])
             released.append(held.removed(reached[reached < len(order)], order))
         self._held = [held for held in self._held if len(held.due)]
-        return [one for one in reversed(released) if len(one.order)]
+        return [one for one in reversed(released) if len(one.columns)]
 
     def flush(self) -> list[PendingRows]:
         """Return all rows that still wait, as if they had arrived last."""
-        leaving = [held.rows for held in self._held]
-        for rows in leaving:
-            rows.order = np.full(len(rows.order), self._last)
+        leaving = [held.rows.at(np.full(len(held.due), self._last)) for held in self._held]
         self._held = []
         return leaving

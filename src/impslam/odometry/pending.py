@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 
 from impslam.columns import Columns, Motions, Sweeps
 from impslam.odometry.synchroniser import PendingSweeps, Synchronised
 from impslam.sensors.base import Sensor
-from impslam.types import Array, Ints, Mask
+from impslam.types import Ints, Mask
 
-_TIMES = ("begins", "ends", "stamps")
+_NO_TIMES, _NO_MASK = np.empty(0), np.empty(0, np.bool_)
+_NO_SWEEPS = PendingSweeps(
+    np.empty(0, np.int64), _NO_TIMES, _NO_TIMES, _NO_TIMES, _NO_MASK, _NO_MASK
+)
 
 
-@dataclass(slots=True, eq=False)
-class PendingRows:
+class PendingRows(NamedTuple):
     """w rows of one sensor that wait for odometry.
 
     Unusable rows wait like the others, so that all rows leave in order.
@@ -27,34 +28,21 @@ class PendingRows:
     ----------
     name, sensor : the sensor and its name in the config
     columns : the rows
-    order : (w,) positions in the log at which they enter the queue, increasing
-    begins, ends, stamps : (w,) s on the common time line of all streams
-    usable : (w,) rows that can be used
-    by_order : (w,) rows that get the odometry before them in the log, whatever the stamps
+    times : (w,) when they enter the queue and were measured
     """
 
     name: str
     sensor: Sensor
     columns: Columns
-    order: Ints
-    begins: Array
-    ends: Array
-    stamps: Array
-    usable: Mask
-    by_order: Mask
+    times: PendingSweeps
 
     def take(self, rows: slice | Mask) -> PendingRows:
         """Return some of the rows."""
-        return replace(
-            self,
-            columns=self.columns.take(rows),
-            order=self.order[rows],
-            begins=self.begins[rows],
-            ends=self.ends[rows],
-            stamps=self.stamps[rows],
-            usable=self.usable[rows],
-            by_order=self.by_order[rows],
-        )
+        return self._replace(columns=self.columns.take(rows), times=self.times.take(rows))
+
+    def at(self, order: Ints) -> PendingRows:
+        """Return the rows with other positions (w,) in the log at which they enter the queue."""
+        return self._replace(times=self.times._replace(order=order))
 
     def sweeps(self, synchronised: Synchronised) -> Sweeps:
         """Return the rows, all of them usable, as sweeps with their motion."""
@@ -79,20 +67,15 @@ class PendingQueue:
         """Append the rows of a batch; return all pending ones in the order of the log."""
         self._parts += rows
         parts = self._parts
-        lengths = np.array([len(part.columns) for part in parts], np.int64)
-        columns = [
-            np.repeat(np.arange(len(parts)), lengths),
-            _joined([part.order for part in parts], np.int64),
-            *(_joined([getattr(part, name) for part in parts]) for name in _TIMES),
-            _joined([part.usable for part in parts], np.bool_),
-            _joined([part.by_order for part in parts], np.bool_),
-        ]
+        columns = zip(_NO_SWEEPS, *(rows.times for rows in parts), strict=True)
+        pending = PendingSweeps._make(map(np.concatenate, columns))
+        lengths = np.array([len(rows.columns) for rows in parts], np.int64)
+        self._part = np.repeat(np.arange(len(parts)), lengths)
         if len(parts) > 1:
-            arrived = _joined([part.columns.order for part in parts], np.int64)
-            order = np.lexsort((arrived, columns[1]))
-            columns = [column[order] for column in columns]
-        self._part, *pending = columns
-        return PendingSweeps(*pending)
+            arrived = np.concatenate([rows.columns.order for rows in parts])
+            order = np.lexsort((arrived, pending.order))
+            self._part, pending = self._part[order], pending.take(order)
+        return pending
 
     def pop(self, synchronised: Synchronised) -> list[tuple[Motions, Sweeps]]:
         """Remove the synchronised rows from the front; return the usable ones in runs of one sensor."""
@@ -104,27 +87,12 @@ class PendingQueue:
             if len(at) == 0:
                 continue
             leaving = rows.take(slice(len(at)))
-            usable[at] = leaving.usable
-            popped[i] = leaving.take(leaving.usable).sweeps(
-                _taken(synchronised, at[leaving.usable])
-            )
+            usable[at] = used = leaving.times.usable
+            popped[i] = leaving.take(used).sweeps(synchronised.take(at[used]))
             self._parts[i] = rows.take(slice(len(at), None))
         self._parts = [rows for rows in self._parts if len(rows.columns)]
         self._part = self._part[len(part) :]
         return list(_runs(part[usable], synchronised.motions.take(usable), popped))
-
-
-def _joined(columns: list[Any], kind: type = np.float64) -> Any:
-    return np.concatenate([np.empty(0, kind), *columns])
-
-
-def _taken(synchronised: Synchronised, rows: Ints) -> Synchronised:
-    return Synchronised(
-        synchronised.motions.take(rows),
-        synchronised.twists[rows],
-        synchronised.T_middle_stamp[rows],
-        synchronised.stamp_covariance[rows],
-    )
 
 
 def _runs(

@@ -11,6 +11,7 @@ from impslam.component import parameter, register
 from impslam.extractors.line_segments import Segments
 from impslam.extractors.segmentation import beam_spacing
 from impslam.extractors.split_merge import StraightPieces, covariances
+from impslam.geometry.algebra import eigenvalues
 from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.kernels import kernel
 from impslam.types import Array, Ints, Observation, Scan
@@ -104,7 +105,7 @@ def _find(
         ):
             continue
         _add_covariance(row, lines, P, (c1, s1, c2, s2), limits[4])
-        if _largest_eigenvalue(row[4], row[5], row[6]) > limits[2] ** 2:
+        if eigenvalues(row[4], row[5], row[6])[1] > limits[2] ** 2:
             continue
         _add_shape(row, segments.end_points[a, 0], segments.end_points[b, 1], laser)
         count += 1
@@ -154,12 +155,6 @@ def _add_covariance(
             for m in range(2):
                 for n in range(2):
                     row[column] += J[i, side + m] * P[k, m, n] * J[j, side + n]
-
-
-@kernel
-def _largest_eigenvalue(xx: float, xy: float, yy: float) -> float:
-    """Return the larger eigenvalue of a symmetric (2, 2) matrix."""
-    return 0.5 * (xx + yy) + math.hypot(0.5 * (xx - yy), xy)
 
 
 @kernel

@@ -22,6 +22,13 @@ def between(T_a_b: Array, T_a_c: Array, T_b_c: Array) -> None:
 
 
 @kernel
+def eigenvalues(xx: float, xy: float, yy: float) -> tuple[float, float]:
+    """Return the smaller and the larger eigenvalue of a symmetric (2, 2) matrix."""
+    mean, half = 0.5 * (xx + yy), math.hypot(0.5 * (xx - yy), xy)
+    return mean - half, mean + half
+
+
+@kernel
 def rotate_covariance(C: Array, angle: float) -> Array:
     """Return a covariance (3, 3) of [x, y, theta] rotated by an angle in rad."""
     c, s = math.cos(angle), math.sin(angle)

@@ -15,6 +15,7 @@ import math
 from collections import deque
 from collections.abc import Iterable
 
+from impslam.geometry.algebra import eigenvalues
 from impslam.health import CARRIED, DISPLACED, DRIFTING, INCONSISTENT, NONE, SKIPPED
 from impslam.map import Keyframe, Revision
 from impslam.observers.correction_watch import CorrectionWatch
@@ -129,5 +130,4 @@ def is_located(seen: Iterable[Observation]) -> bool:
         length2 = x * x + y * y
         if length2 > 0.0:
             xx, xy, yy = xx + y * y / length2, xy - x * y / length2, yy + x * x / length2
-    weakest = 0.5 * (xx + yy) - math.hypot(0.5 * (xx - yy), xy)
-    return weakest >= MIN_INFORMATION
+    return eigenvalues(xx, xy, yy)[0] >= MIN_INFORMATION

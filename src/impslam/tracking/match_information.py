@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from impslam.geometry.algebra import eigenvalues
 from impslam.geometry.kernels import kernel
 from impslam.types import Array
 
@@ -21,8 +22,8 @@ def information(H: Array) -> tuple[float, float, float]:
         return 0.0, 0.0, 0.0
     xx, yy = H[0, 0] - H[0, 2] ** 2 / H[2, 2], H[1, 1] - H[1, 2] ** 2 / H[2, 2]
     xy = H[0, 1] - H[0, 2] * H[1, 2] / H[2, 2]
-    mean, half = 0.5 * (xx + yy), math.hypot(0.5 * (xx - yy), xy)
-    return mean - half, mean + half, 0.5 * math.atan2(-2.0 * xy, yy - xx)
+    weakest, strongest = eigenvalues(xx, xy, yy)
+    return weakest, strongest, 0.5 * math.atan2(-2.0 * xy, yy - xx)
 
 
 @kernel

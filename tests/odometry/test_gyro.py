@@ -35,9 +35,7 @@ def log(speeds, wheels=None, rates=None, gyro_first=False):
 
 def corrected(messages, *settings, rows=512):
     """The robot of the preset `imp` and the motions of its odometry, by batches of `rows` rows."""
-    robot = load(
-        "imp", ["odometry.trembling=0", "odometry.gyro.proven=false", *settings]
-    ).make_robot()
+    robot = load("imp", ["odometry.jitter=0", "odometry.gyro.proven=false", *settings]).make_robot()
     found = []
     synchronise = robot._synchroniser.feed
     robot._synchroniser.feed = lambda order, motions, *rest: (
@@ -178,7 +176,7 @@ def test_heading_is_consistent_if_systematic_errors_are_considered():
         speeds[:, 1] = np.abs(speeds[:, 1])  # errors of the scale do not cancel
         noise = rng.normal(0.0, 6e-4 * math.sqrt(RATE), len(speeds))
         rates = (1.0 + rng.normal(0.0, 0.01)) * speeds[:, 1] + rng.normal(0.0, 0.02) + noise
-        robot = load("imp", ["odometry.trembling=0"]).make_robot(for_estimator=True)
+        robot = load("imp", ["odometry.jitter=0"]).make_robot(for_estimator=True)
         d_pose, covariance, errors = zip(*motions_of(robot, log(speeds, rates=rates)), strict=True)
         error = sum(d[2] for d in d_pose) - float(speeds[1:, 1].sum()) / RATE
         common = np.sum(errors, axis=0)[2]

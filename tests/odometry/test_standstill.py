@@ -16,9 +16,9 @@ from impslam.types import WheelAngles
 STEP = 2.0 * math.pi / 4096
 
 
-def motions(left, right, rate=100.0, trembling=None, cut=None):
+def motions(left, right, rate=100.0, jitter=None, cut=None):
     """The motions of the preset `imp` from readings (m,) in rad, given in batches of `cut` rows."""
-    settings = [] if trembling is None else [f"odometry.trembling={trembling}"]
+    settings = [] if jitter is None else [f"odometry.jitter={jitter}"]
     stream = OdometryStream(load("imp", settings).make_robot().odometry)
     rows = [WheelAngles(k / rate, *both) for k, both in enumerate(zip(left, right, strict=True))]
     columns = reduce(join, (b["wheels"] for b in batches(("wheels", row) for row in rows)))
@@ -53,7 +53,7 @@ def test_ten_minutes_at_rest_move_nothing():
     assert np.hypot(end[0], end[1]) < 1e-3
     assert abs(end[2]) < math.radians(0.05)
     assert np.nansum(covariance, axis=0).max() == 0.0
-    _, d_pose, covariance, _ = motions(*read(np.zeros(6_000)), trembling=0.0)
+    _, d_pose, covariance, _ = motions(*read(np.zeros(6_000)), jitter=0.0)
     assert np.nansum(np.abs(d_pose[:, 2])) > 0.5  # what it would count for in a minute
 
 
@@ -62,9 +62,9 @@ def test_a_drive_after_a_rest_keeps_all_of_its_distance():
     angles = np.concatenate([rest, np.linspace(0.0, 6.0, 400), np.full(300, 6.0)])
     left, right = read(angles)
     held = end_of(motions(left, right)[1])
-    raw = end_of(motions(left, right, trembling=0.0)[1])
+    raw = end_of(motions(left, right, jitter=0.0)[1])
     assert 0.37 < held[0] < 0.39  # 6 rad of a wheel of 63.5 mm
-    np.testing.assert_allclose(held[:2], raw[:2], atol=4e-4)  # the trembling at the end
+    np.testing.assert_allclose(held[:2], raw[:2], atol=4e-4)  # the jitter at the end
     assert abs(held[2] - raw[2]) < 2e-3
 
 

@@ -15,7 +15,7 @@ SETTINGS = [
     "odometry.stream=/encoders/voltage",
     "odometry.per_turn=5.0",
     "odometry.wrap=5.0",
-    "odometry.trembling=0.0",
+    "odometry.jitter=0.0",
     "odometry.gyro.use=false",
 ]
 
@@ -44,7 +44,7 @@ def test_voltages_match_the_angles():
 
 def test_dead_reckoning_is_that_of_the_angles(log):
     ways = []
-    for settings in (["odometry.trembling=0.0", "odometry.gyro.use=false"], SETTINGS):
+    for settings in (["odometry.jitter=0.0", "odometry.gyro.use=false"], SETTINGS):
         known = run(log, "imp", settings)
         ways.append(known.rows().odometry)
     assert np.ptp(ways[0][:, :2]) > 1.0

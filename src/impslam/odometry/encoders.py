@@ -61,7 +61,7 @@ class Encoders(Odometry):
         "value at which the reading wraps to 0: 5 (V) for the MA3, 65536 for 16-bit ticks; 0: never",
         ge=0,
     )
-    trembling: float = parameter(
+    jitter: float = parameter(
         0.0,
         "reading",
         "largest difference between readings of a stationary wheel: noise and one step of the encoder. "
@@ -101,8 +101,8 @@ class Encoders(Odometry):
 
     @property
     def standstill_band(self) -> Band:
-        """The worst case, both wheels trembling in opposite directions; see `Odometry.standstill_band`."""
-        distance = 2.0 * math.pi * self.wheel_radius / self.per_turn * self.trembling
+        """The worst case, both readings off in opposite directions; see `Odometry.standstill_band`."""
+        distance = 2.0 * math.pi * self.wheel_radius / self.per_turn * self.jitter
         return Band(distance, 2.0 * distance / self.track)
 
     def usable(self, readings: Columns) -> Mask:

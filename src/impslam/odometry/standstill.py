@@ -1,6 +1,6 @@
-"""Detect a standstill, so that the trembling of encoders is no motion and adds nothing to the covariance.
+"""Detect a standstill, so that the jitter of encoders is no motion and adds nothing to the covariance.
 
-Otherwise each step of a trembling reading counts as motion, and the distance and its variance grow without
+Otherwise each step of a jittering reading counts as motion, and the distance and its variance grow without
 bound. The robot is stationary once odometry has stayed within a band for `STANDSTILL_TIME`. Its motion is
 then exactly zero until odometry leaves the band; all motion since goes into that one step, so that none is
 lost (a zero-velocity update, Foxlin 2005, on the wheels alone).

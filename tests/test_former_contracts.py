@@ -141,28 +141,9 @@ def test_a_package_that_is_gone_is_told(tmp_path):
     assert "\n" not in str(e.value)
 
 
-@pytest.mark.parametrize("text", ['kind = "icp"', 'kind = "none"', "reach = 0.5"])
-def test_a_matcher_is_a_tracker(tmp_path, text):
-    (tmp_path / "mine.toml").write_text(f'base = "imp"\n[matcher]\n{text}\n')
-    with pytest.raises(
-        ConfigError, match=r"^matcher is called tracker now: rename \[matcher\]"
-    ) as e:
-        load(tmp_path / "mine.toml")
-    assert "\n" not in str(e.value)
-
-
 @pytest.mark.parametrize(("role", "instead"), [("tracker", "odometry"), ("estimator", "landmarks")])
 def test_a_run_has_a_tracker_and_an_estimator(role, instead):
     """Taken out, their place was filled by the default without a word."""
     with pytest.raises(ConfigError, match=f'{role}.kind = "none".* use kind = "{instead}"'):
         load("default", [f"{role}.kind=none"])
     assert getattr(load("default", [f"{role}.kind={instead}"]), role) == {"kind": instead}
-
-
-@pytest.mark.parametrize("parameters", ["", "sigma = 0.05\nmin_share = 0.5\n"])
-def test_icp_is_scan_to_map_now(tmp_path, parameters):
-    (tmp_path / "mine.toml").write_text(f'base = "imp"\n[tracker]\nkind = "icp"\n{parameters}')
-    with pytest.raises(ConfigError, match=r'^tracker.kind = "icp" was replaced by "scan') as e:
-        load(tmp_path / "mine.toml")
-    assert "\n" not in str(e.value)
-    assert load("imp", ["tracker.kind=scan_to_map"]).tracker["kind"] == "scan_to_map"

@@ -33,7 +33,7 @@ from impslam.landmarks.base import LandmarkModel
 from impslam.map import Map
 from impslam.maps.grid import MAX_RESOLUTION, MIN_RESOLUTION
 from impslam.parameters import Parameters
-from impslam.paths import is_file
+from impslam.paths import is_file, read_text
 from impslam.robot import Robot
 from impslam.tracking.base import KeyframeGate, Tracker
 from impslam.types import Array
@@ -199,7 +199,7 @@ def read_table(name: str | Path, derived: tuple[str, ...] = ()) -> Table:
     if str(name) in presets():
         text = files("impslam").joinpath("presets", f"{name}.toml").read_text("utf-8")
     elif is_file(path):
-        text = _read(path)
+        text = read_text(path, "check the file", ConfigError)
     else:
         hint = near_miss(str(name), presets())
         raise ConfigError(f"{shorten(str(name))}: neither a file nor a preset; {hint}")
@@ -257,13 +257,6 @@ def _plugin_path(place: Any, folder: Path) -> Any:
     if "\0" in place:
         raise ConfigError(f"plugins: {place!r}: no such file; check the path")
     return str((folder / place).resolve())
-
-
-def _read(path: Path) -> str:
-    try:
-        return path.read_text("utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: cannot be read: {error}") from None
 
 
 def merge(below: Table, above: Mapping[str, Any]) -> Table:
@@ -328,7 +321,7 @@ def load(base: str | Path | Table = "default", settings: Sequence[str] = ()) -> 
         One line with the key and what to do, e.g. the closest known key, or the bound.
     """
     table = _merged(base, settings)
-    _refuse_old_keys(table)
+    _refuse_none(table)
     table = _without_none(table)
     _load_plugins(table)
     try:
@@ -359,21 +352,11 @@ _WITHOUT = {
 """What to write instead of `kind = "none"` for the parts of every run."""
 
 
-def _refuse_old_keys(table: Table) -> None:
-    """Raise for keys of earlier versions, and for parts that cannot be removed, and name the right ones."""
-    if "matcher" in table:
-        raise ConfigError(
-            'matcher is called tracker now: rename [matcher] to [tracker], and its kind = "none" '
-            'to "odometry"'
-        )
+def _refuse_none(table: Table) -> None:
+    """Raise for parts that cannot be removed, and say what to write instead."""
     for role, instead in _WITHOUT.items():
         if isinstance(table.get(role), dict) and table[role].get("kind") == "none":
             raise ConfigError(f'{role}.kind = "none": {instead}')
-    if isinstance(table.get("tracker"), dict) and table["tracker"].get("kind") == "icp":
-        raise ConfigError(
-            'tracker.kind = "icp" was replaced by "scan_to_map": write kind = "scan_to_map", and take '
-            "out the other parameters of [tracker]"
-        )
 
 
 def load_plugins(base: str | Path = "default", settings: Sequence[str] = ()) -> None:

@@ -65,5 +65,5 @@ def test_a_virtual_robot_needs_no_devices(write):
 
 
 def test_a_missing_file_is_an_error(tmp_path):
-    with pytest.raises(ConfigError, match=r"robot\.toml: cannot be read"):
+    with pytest.raises(ConfigError, match=r"robot\.toml: no such file; give -c a robot file"):
         load_robot(tmp_path / "robot.toml")

@@ -19,6 +19,7 @@ from impslam import toml
 from impslam.component import build, explain
 from impslam.errors import ConfigError
 from impslam.parameters import Parameters, parameter
+from impslam.paths import read_text
 from impslam.platform.devices.base import Device
 
 Table = dict[str, Any]
@@ -57,11 +58,9 @@ def load_robot(path: Path, *, virtual: bool = False) -> RobotFile:
     ConfigError
         In one line, with the key and what to do.
     """
+    table = toml.parse(read_text(path, "give -c a robot file", ConfigError), str(path))
     try:
-        table = toml.parse(path.read_text("utf-8"), str(path))
         robot = RobotFile(**table)
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: cannot be read ({error}); give -c a robot file") from None
     except ValidationError as error:
         raise ConfigError(explain(error, str(path), RobotFile.model_fields)) from None
     if not (robot.devices or virtual):

@@ -35,11 +35,10 @@ from impslam.evaluation.trajectory import (  # noqa: E402
     PosePairs,
     align,
     associate,
-    move,
     position_errors,
     statistics,
 )
-from impslam.geometry.se2 import inverse, transform  # noqa: E402
+from impslam.geometry.se2 import compose, inverse, transform  # noqa: E402
 from impslam.sources.base import recognise  # noqa: E402
 from impslam.types import Array, TrueLandmark, TruePose  # noqa: E402
 
@@ -100,7 +99,7 @@ def _fit(path: Array, fixes: Array) -> tuple[Array, Array, Array]:
     pairs = associate(fixes, path, slack=0.0)
     pairs = PosePairs(pairs.stamps, pairs.truth, pairs.estimate)
     T_gps_map = align(pairs.estimate[:, :2], pairs.truth[:, :2])
-    moved = move(T_gps_map, path[:, 1:])[:, :2]
+    moved = compose(T_gps_map, path[:, 1:])[:, :2]
     return moved, position_errors(pairs.moved(T_gps_map)), T_gps_map
 
 

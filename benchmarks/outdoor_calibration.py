@@ -24,9 +24,9 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
 from impslam.columns import Motions, Sweeps, messages, single_row  # noqa: E402  from the root
-from impslam.evaluation.trajectory import interpolate, relative  # noqa: E402
+from impslam.evaluation.trajectory import interpolate  # noqa: E402
 from impslam.extractors.reflector import Reflector  # noqa: E402
-from impslam.geometry.se2 import rotation  # noqa: E402
+from impslam.geometry.se2 import between, rotation  # noqa: E402
 from impslam.odometry.ackermann import Ackermann  # noqa: E402
 from impslam.robot import Robot  # noqa: E402
 from impslam.sensors.lidar2d import Lidar2D  # noqa: E402
@@ -129,7 +129,7 @@ def calibrate(log: Log) -> tuple[Array, Array, int]:
         poses = interpolate(axle_path(log.wheels, offset, scale), log.stamps - latency)
         turn = rotation(yaw).T
         one, two = before @ turn + [x, y], after @ turn + [x, y]
-        moved = relative(poses[i], poses[j])
+        moved = between(poses[i], poses[j])
         return ((placed(moved, two) - one) / PAIR_SCALE).ravel()
 
     best = least_squares(misfit, RULER, loss="cauchy")

@@ -14,15 +14,15 @@ from tests.evaluation.test_quality import keyframes, made
 from impslam.cli import console
 from impslam.cli.comparison import short_names
 from impslam.cli.comparison_table import Cell, show
-from impslam.evaluation.trajectory import move
 from impslam.evaluation.tum import PATH_COLUMNS, read_tum, write_tum
+from impslam.geometry.se2 import compose
 from impslam.maps.landmark_table import write_landmarks
 from impslam.types import Landmark
 
 
 def path(tmp_path, name, shift=(0.0, 0.0, 0.0)):
     t = np.arange(50.0)
-    poses = move(np.array(shift), np.column_stack((0.1 * t, np.sin(0.1 * t), 0.1 * t)))
+    poses = compose(np.array(shift), np.column_stack((0.1 * t, np.sin(0.1 * t), 0.1 * t)))
     write_tum(tmp_path / name, np.column_stack((t, poses)))
     return tmp_path / name
 
@@ -67,7 +67,7 @@ def folder(tmp_path, name="run", shift=(0.0, 0.0, 0.0), truth=True):
     spread = "1e-2,0,0,1e-2,0,1e-4"
     lines = [f"{','.join(f'{v:.9f}' for v in row)},{spread}" for row in rows]
     (run / "trajectory.csv").write_text("\n".join([PATH_COLUMNS, *lines]) + "\n")
-    places = move(np.array(shift), np.array([[1.0, 2.0, 0.0], [7.0, 7.0, 0.0]]))
+    places = compose(np.array(shift), np.array([[1.0, 2.0, 0.0], [7.0, 7.0, 0.0]]))
     marks = [
         Landmark(i, "point", place[:2], {}, 0.01 * np.eye(2), None, 9, 0.0, 1.0)
         for i, place in enumerate(places)

@@ -9,7 +9,6 @@ from impslam.evaluation.landmarks import transform_landmarks, true_wall
 from impslam.evaluation.relations import relation_errors
 from impslam.evaluation.run_files import RecordedRun, read_run
 from impslam.evaluation.scores import score_kinds, score_path
-from impslam.evaluation.trajectory import move
 from impslam.evaluation.tum import PATH_COLUMNS, write_tum
 from impslam.geometry.se2 import compose
 from impslam.types import Landmark, TrueLandmark
@@ -24,7 +23,7 @@ def way(n=400):
 
 
 def in_frame(rows, T=FRAME):
-    return np.c_[rows[:, 0], move(T, rows[:, 1:])]
+    return np.c_[rows[:, 0], compose(T, rows[:, 1:])]
 
 
 def noisy(rng, n=4000):

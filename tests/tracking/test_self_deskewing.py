@@ -8,8 +8,9 @@ from tests.extractors.scans import cast, room
 from tests.tracking.sweeps import motions_of, sweeps_of
 
 import impslam
-from impslam.evaluation.trajectory import align, move
+from impslam.evaluation.trajectory import align
 from impslam.geometry.angles import wrap
+from impslam.geometry.se2 import compose
 from impslam.noise import UNKNOWN
 from impslam.sensors.deskewing import deskew_sweeps
 from impslam.simulation.robot import Lidar, SimulatedRobot
@@ -92,7 +93,7 @@ def test_a_slow_lidar_alone_shows_turns_and_the_poses_at_its_stamps(tmp_path):
                 truth[round(message.stamp, 4)] = message.pose
     path = impslam.run(log, settings=["odometry.kind=lidar_only"]).path()
     true = np.array([truth[round(stamp, 4)] for stamp in path[:, 0]])
-    found = move(align(path[:, 1:3], true[:, :2]), path[:, 1:])
+    found = compose(align(path[:, 1:3], true[:, :2]), path[:, 1:])
     off = np.hypot(*(found - true)[:, :2].T)
     assert np.sqrt(np.mean(off**2)) < 0.01
     assert np.abs(wrap(found[:, 2] - true[:, 2])).max() < np.radians(2.0)

@@ -14,10 +14,11 @@ from matplotlib.figure import Figure
 
 from impslam.errors import ImpError
 from impslam.evaluation.colours import INK
-from impslam.evaluation.plots import new_figure, quiet
+from impslam.evaluation.plots import new_figure, quiet, shortened
 from impslam.evaluation.relations import RelationErrors
 from impslam.evaluation.scores import PathScore
-from impslam.evaluation.trajectory import align, associate, move, position_errors
+from impslam.evaluation.trajectory import align, associate, position_errors
+from impslam.geometry.se2 import compose
 from impslam.types import Array, Ints
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00")
@@ -26,8 +27,6 @@ DASHES: tuple[Any, ...] = ("-", (0, (4, 1.5)), (0, (1, 1)))
 TRUTH = "#c3cad1"
 WIDTH = 9.0
 """inches: 900 pixels as displayed, at twice that resolution."""
-MAX_NAME = 30
-"""Characters of a name in the legend; a longer one is shortened in the middle."""
 LOG_RATIO = 10.0
 """Ratio of errors from which on the scale is logarithmic, so that small ones remain visible."""
 
@@ -91,18 +90,11 @@ def _styles(names: list[str]) -> dict[str, dict[str, Any]]:
         name: {
             "color": COLOURS[i % len(COLOURS)],
             "ls": DASHES[i // len(COLOURS) % len(DASHES)],
-            "label": _shortened(name),
+            "label": shortened(name),
             "lw": 1.4,
         }
         for i, name in enumerate(names)
     }
-
-
-def _shortened(name: str) -> str:
-    if len(name) <= MAX_NAME:
-        return name
-    half = MAX_NAME // 2 - 1
-    return f"{name[:half]}…{name[-half:]}"
 
 
 def _draw_paths(
@@ -132,7 +124,7 @@ def _fitted(run: Array, first: Array) -> Array:
         pairs = associate(run, first)
     except ImpError:
         return run[:, 1:]
-    return move(align(pairs.estimate[:, :2], pairs.truth[:, :2]), run[:, 1:])
+    return compose(align(pairs.estimate[:, :2], pairs.truth[:, :2]), run[:, 1:])
 
 
 def _draw_errors(

@@ -15,8 +15,16 @@ from matplotlib.figure import Figure
 
 from impslam.evaluation.colours import INK, PALE
 
+MAX_NAME = 30
+"""Characters of a name; a longer one is shortened in the middle."""
 TIGHT: dict[str, Any] = {"bbox_inches": "tight", "pad_inches": 0.12}
 """Options of `savefig` that crop a picture to its content."""
+
+
+def shortened(name: str) -> str:
+    """Return a name of at most `MAX_NAME` characters."""
+    half = MAX_NAME // 2
+    return name if len(name) <= MAX_NAME else f"{name[:half]}…{name[1 - half :]}"
 
 
 def new_figure(width: float, height: float, **options: Any) -> Figure:

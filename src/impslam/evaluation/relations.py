@@ -12,8 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from impslam.errors import ImpError
-from impslam.evaluation.trajectory import Statistics, relative, statistics
+from impslam.evaluation.trajectory import Statistics, statistics
 from impslam.evaluation.tum import read_numbers
+from impslam.geometry.se2 import between
 from impslam.types import Array, Ints
 
 SLACK = 0.3
@@ -70,8 +71,8 @@ def relation_errors(trajectory: Array, relations: Array) -> RelationErrors:
         raise ImpError(
             "no relation is within the trajectory's time; check that both are of the same log"
         )
-    estimate = relative(rows[first[found], 1:], rows[second[found], 1:])
-    error = relative(relations[found, 2:], estimate)
+    estimate = between(rows[first[found], 1:], rows[second[found], 1:])
+    error = between(relations[found, 2:], estimate)
     missing = int(np.sum(~found))
     return RelationErrors(np.hypot(error[:, 0], error[:, 1]), np.abs(error[:, 2]), missing)
 

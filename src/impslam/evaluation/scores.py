@@ -38,12 +38,11 @@ from impslam.evaluation.trajectory import (
     associate,
     ate,
     heading_errors,
-    move,
     rpe,
     start_frame,
     statistics,
 )
-from impslam.geometry.se2 import inverse
+from impslam.geometry.se2 import compose, inverse
 from impslam.types import Array, Landmark, Mask, TrueLandmark
 
 START_RADIUS = 1e-3
@@ -160,7 +159,7 @@ def normalised_errors(run: RecordedRun, pairs: PosePairs, T_truth_map: Array) ->
 
     The dof are 3, or 2 if the truth has no headings. n is 0 if no covariance is invertible.
     """
-    errors = pose_errors(pairs.estimate, move(inverse(T_truth_map), pairs.truth))
+    errors = pose_errors(pairs.estimate, compose(inverse(T_truth_map), pairs.truth))
     dof = 3 if np.isfinite(errors).all() else 2
     if run.covariances is None:
         return np.empty(0), dof

@@ -43,7 +43,7 @@ class PosePairs:
 
     def moved(self, T_truth_estimate: Array) -> PosePairs:
         """Return the pairs with the estimate moved to the frame of the truth, by the transform (3,)."""
-        return PosePairs(self.stamps, move(T_truth_estimate, self.estimate), self.truth)
+        return PosePairs(self.stamps, compose(T_truth_estimate, self.estimate), self.truth)
 
     def aligned(self) -> PosePairs:
         """Return the pairs with the estimate fitted to the truth."""
@@ -57,19 +57,6 @@ def statistics(errors: Array) -> Statistics:
         return Statistics(0, math.nan, math.nan, math.nan, math.nan)
     rmse = math.sqrt(float(np.mean(e * e)))
     return Statistics(len(e), rmse, float(e.mean()), float(np.median(e)), float(e.max()))
-
-
-def move(T_a_b: Array, poses_in_b: Array) -> Array:
-    """Return poses (n, 3) given in frame b as poses in frame a."""
-    headings = wrap(poses_in_b[:, 2] + T_a_b[2])
-    return np.column_stack((transform(T_a_b, poses_in_b[:, :2]), headings))
-
-
-def relative(a: Array, b: Array) -> Array:
-    """Return poses b (n, 3) seen from poses a (n, 3), row by row."""
-    c, s = np.cos(a[:, 2]), np.sin(a[:, 2])
-    x, y = (b[:, :2] - a[:, :2]).T
-    return np.column_stack((c * x + s * y, c * y - s * x, wrap(b[:, 2] - a[:, 2])))
 
 
 def interpolate(trajectory: Array, stamps: Array) -> Array:
@@ -184,6 +171,6 @@ def rpe(pairs: PosePairs, delta: float) -> tuple[Statistics, Statistics]:
     if len(begins) == 0 or delta <= 0.0:
         raise ImpError(f"rpe over {delta:g} m: the trajectory has no such stretch")
     ends = ends[begins]
-    true = relative(pairs.truth[begins], pairs.truth[ends])
-    error = relative(true, relative(pairs.estimate[begins], pairs.estimate[ends]))
+    true = between(pairs.truth[begins], pairs.truth[ends])
+    error = between(true, between(pairs.estimate[begins], pairs.estimate[ends]))
     return statistics(np.hypot(error[:, 0], error[:, 1])), statistics(error[:, 2])

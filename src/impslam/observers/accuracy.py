@@ -20,12 +20,11 @@ from impslam.evaluation.trajectory import (
     heading_errors,
     interpolate,
     is_same_pose,
-    move,
     position_errors,
     start_frame,
     statistics,
 )
-from impslam.geometry.se2 import inverse
+from impslam.geometry.se2 import compose, inverse
 from impslam.observers.history import History
 from impslam.observers.page import ChartLine, chart, escape, section, table, tiles
 from impslam.types import Array, Landmark, TrueLandmark
@@ -72,7 +71,7 @@ def align_truth(history: History) -> AlignedTruth | None:
     if T_truth_map is None:
         T_truth_map = align(pairs.estimate[:, :2], pairs.truth[:, :2])
     T_map_truth = inverse(T_truth_map)
-    in_map = PosePairs(pairs.stamps, pairs.estimate, move(T_map_truth, pairs.truth))
+    in_map = PosePairs(pairs.stamps, pairs.estimate, compose(T_map_truth, pairs.truth))
     return AlignedTruth(in_map, T_map_truth, "fit" if fitted else "start")
 
 

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from impslam.geometry.se2 import transform
 from impslam.types import Array, Ints
 
 Points: TypeAlias = npt.NDArray[np.float32]
@@ -100,11 +101,7 @@ class ThinPath:
 
 def _moved(poses: Array, keyframes: Ints, offsets: Array, points: Points) -> Points:
     """Return points (n, 2) moved with their keyframes; those without one stay."""
-    x, y, theta = poses[np.maximum(keyframes, 0)].T
-    c, s = np.cos(theta), np.sin(theta)
-    moved = np.column_stack(
-        [x + c * offsets[:, 0] - s * offsets[:, 1], y + s * offsets[:, 0] + c * offsets[:, 1]]
-    )
+    moved = transform(poses[np.maximum(keyframes, 0)], offsets[:, None])[:, 0]
     return np.where((keyframes >= 0)[:, None], moved, points).astype(np.float32)
 
 

@@ -108,12 +108,8 @@ def _start(camera: CalibratedCamera, pixels: Array, corners: Array, height: floa
     dot = np.sum(centred * wanted, axis=(1, 2))
     cross = np.sum(centred[:, 0] * wanted[..., 1] - centred[:, 1] * wanted[..., 0], axis=1)
     theta = np.arctan2(cross, dot)
-    middle = np.einsum("nij,j->ni", _rotations(theta), corners.mean(axis=0))
+    middle = np.einsum("nij,j->ni", rotation(theta), corners.mean(axis=0))
     return np.column_stack([points.mean(axis=1) - middle, theta, np.ones(len(theta))])
-
-
-def _rotations(theta: Array) -> Array:
-    return np.array([rotation(float(angle)) for angle in theta]).reshape(-1, 2, 2)
 
 
 def _project_corners(vector: Array, x: Array, corners: Array, height: float) -> Array:

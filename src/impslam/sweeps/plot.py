@@ -15,15 +15,13 @@ from matplotlib.figure import Figure
 
 from impslam.evaluation.colours import INK, PALE
 from impslam.evaluation.comparison_plot import COLOURS, LOG_RATIO
-from impslam.evaluation.plots import new_figure, quiet
+from impslam.evaluation.plots import new_figure, quiet, shortened
 from impslam.sweeps.rows import Row
 from impslam.sweeps.statistics import Quantiles
 from impslam.sweeps.verdict import MEASURES, by_log, measure_of, values_of
 
 MIN_INTERVAL_RUNS = 5
 """Runs needed to draw an interval: fewer are visible as points."""
-MAX_LABEL = 30
-"""Characters of a name; a longer one is shortened in the middle."""
 
 
 def draw_sweep(rows: Sequence[Row]) -> Figure:
@@ -35,7 +33,9 @@ def draw_sweep(rows: Sequence[Row]) -> Figure:
     for k, (log, variants) in enumerate(logs.items()):
         measure, shift = measure_of(variants), 0.6 * ((k + 0.5) / len(logs) - 0.5)
         colour = COLOURS[k % len(COLOURS)]
-        axes.plot([], [], "o", color=colour, label=f"{_short(Path(log).name)}: {MEASURES[measure]}")
+        axes.plot(
+            [], [], "o", color=colour, label=f"{shortened(Path(log).name)}: {MEASURES[measure]}"
+        )
         for name, some in variants.items():
             _draw_runs(axes, names.index(name) + shift, values_of(some, measure), colour)
     _label(axes, names)
@@ -74,13 +74,7 @@ def _scale(axes: Axes) -> None:
 def _label(axes: Axes, names: Sequence[str]) -> None:
     is_rotated = len(names) > 8 or max(map(len, names), default=0) > 16
     options: dict[str, Any] = {"rotation": 25, "ha": "right"} if is_rotated else {}
-    axes.set_xticks(range(len(names)), [_short(name) for name in names], **options)
+    axes.set_xticks(range(len(names)), [shortened(name) for name in names], **options)
     axes.set_xlim(-0.6, len(names) - 0.4)
     axes.set_ylabel("error in m", color=INK)
     quiet(axes)
-
-
-def _short(name: str) -> str:
-    if len(name) <= MAX_LABEL:
-        return name
-    return f"{name[: MAX_LABEL // 2]}…{name[-MAX_LABEL // 2 + 1 :]}"

@@ -128,7 +128,7 @@ def test_a_second_signal_stops_at_once(room, tmp_path) -> None:
     assert facts == {"partial": "the run has not ended"}
 
 
-STAGES = ["impslam.open_log.open_log", "impslam.cli.run._first_look", "bar.RunBar.__init__"]
+STAGES = ["impslam.open_log.open_log", "impslam.cli.run._initial_health", "bar.RunBar.__init__"]
 
 
 @pytest.mark.parametrize("stage", STAGES)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from impslam.diagnosis.diagnose import first_look
+from impslam.diagnosis.diagnose import initial_findings
 from impslam.open_log import open_log
 
 pytestmark = [pytest.mark.real]
@@ -11,7 +11,7 @@ pytestmark = [pytest.mark.real]
 def findings(folder, log, preset=None):
     config, source = open_log(folder / log, preset)
     with source:
-        return first_look(config, source)
+        return initial_findings(config, source)
 
 
 @pytest.mark.parametrize(

@@ -151,19 +151,19 @@ def run(  # noqa: PLR0913  # each is an option that a user may give
                 chosen, source, folder, quiet or page.live,
                 more=[end], known_map=known_map, exports=exports, interruption=interruption,
                 player=partial(replay, port=page.port, quiet=quiet) if page.live else None,
-                health=_first_look(chosen, source, config, quiet=quiet),
+                health=_initial_health(chosen, source, config, quiet=quiet),
             )  # fmt: skip
         if not quiet and end.outcome is not None:
             show_result(known, end.outcome, output or folder, with_speed=not page.live)
             console.echo(*exports.lines())
 
 
-def _first_look(config: Config, source: Source, preset: str | None, *, quiet: bool) -> Standing:
-    """Return the health that the first look gives all poses; print its findings unless `quiet`."""
-    from impslam.cli.first_look import show_first_look
+def _initial_health(config: Config, source: Source, preset: str | None, *, quiet: bool) -> Standing:
+    """Return the health that the initial findings give all poses; print them unless `quiet`."""
+    from impslam.cli.initial_findings import show_initial_findings
     from impslam.diagnosis.diagnose import first_health
 
-    return first_health(config, source) if quiet else show_first_look(config, source, preset)
+    return first_health(config, source) if quiet else show_initial_findings(config, source, preset)
 
 
 def _continuing_config(config: Config, changes: list[str], *, quiet: bool) -> Config:

@@ -6,7 +6,7 @@ import logging
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from impslam.cli.comparison import (
     short_names,
@@ -17,7 +17,6 @@ from impslam.cli.comparison import (
     show_relations,
 )
 from impslam.cli.comparison_json import kind_facts, path_facts, relation_facts
-from impslam.cli.evaluate import Against
 from impslam.cli.output_files import write_bytes, write_json
 from impslam.errors import ConfigError, ImpError
 from impslam.evaluation.consistency import Innovations, score_innovations
@@ -30,6 +29,9 @@ from impslam.evaluation.run_files import RecordedRun, read_run
 from impslam.evaluation.scores import KindScore, PathScore, score_kinds, score_path
 from impslam.evaluation.tum import read_tum
 from impslam.types import Array, TrueLandmark
+
+if TYPE_CHECKING:
+    from impslam.cli.evaluate import Against
 
 log = logging.getLogger(__name__)
 DRAWN: dict[Alignment, str] = {

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from impslam.cli import console
 from impslam.cli.console import Common, RequiredOutput
-from impslam.cli.progress import display
+from impslam.cli.progress import StageBars, display
 from impslam.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -59,26 +59,12 @@ def track(
     if start is not None:
         loaded = loaded.model_copy(update={"start": start})
     with display(quiet) as progress:
-        tracked = track_marker(video, loaded, setup_file.parent, _stage_progress(progress))
+        tracked = track_marker(video, loaded, setup_file.parent, StageBars(progress, "track"))
     _write(output, tracked, loaded)
     if not quiet:
         _show(tracked, loaded)
         console.echo(f"truth: {output}, {output.with_suffix('.csv')}")
         console.echo(f"picture: {output.with_suffix('.png')}")
-
-
-def _stage_progress(progress: Any) -> Any:
-    """Return a callback that shows the progress of each stage."""
-    tasks: dict[str, Any] = {}
-
-    def show(stage: str, done: int, total: int) -> None:
-        if progress is None:
-            return
-        if stage not in tasks:
-            tasks[stage] = progress.add_task(f"finding the {stage}", total=total)
-        progress.update(tasks[stage], completed=done)
-
-    return show
 
 
 def _write(output: Path, tracked: Tracked, setup: Setup) -> None:
@@ -144,11 +130,11 @@ def _times(stamps: Array) -> str:
     return f"{len(stamps)} frames: {', '.join(_spans(stamps.tolist()))}"
 
 
-def _spans(stamps: Sequence[float], gap: float = 1.0) -> list[str]:
-    """Return stamps as time spans, joined over gaps of up to `gap` seconds."""
+def _spans(stamps: Sequence[float]) -> list[str]:
+    """Return stamps as time spans, joined over gaps of up to a second."""
     spans = [[stamps[0], stamps[0]]]
     for stamp in stamps[1:]:
-        if stamp - spans[-1][1] > gap:
+        if stamp - spans[-1][1] > 1.0:
             spans.append([stamp, stamp])
         spans[-1][1] = stamp
     texts = [f"{a:.2f} s" if a == b else f"{a:.2f} to {b:.2f} s" for a, b in spans]

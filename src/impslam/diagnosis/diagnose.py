@@ -104,7 +104,7 @@ def _checks(e: Evidence, is_quick: bool) -> Sequence[Check]:
     return [check for check in CHECKS if check is not check_direction] if is_known else CHECKS
 
 
-def first_look(config: Config, source: Source) -> list[Finding]:
+def initial_findings(config: Config, source: Source) -> list[Finding]:
     """Return the harmful findings in the beginning of a log; the source must be open."""
     lidars = len(lidars_of(config.make_robot()))
     if not lidars:
@@ -119,9 +119,9 @@ def first_look(config: Config, source: Source) -> list[Finding]:
 
 
 def first_health(config: Config, source: Source) -> Standing:
-    """Return the worst health that `first_look` implies for all poses of a run; opens its own source."""
+    """Return the worst health that the initial findings imply for all poses; opens its own source."""
     with unread_copy(source) as own:
-        return worst_health(first_look(config, own))
+        return worst_health(initial_findings(config, own))
 
 
 def unread_copy(source: Source) -> Source:

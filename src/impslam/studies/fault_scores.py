@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from impslam.diagnosis.diagnose import first_look
+from impslam.diagnosis.diagnose import initial_findings
 from impslam.diagnosis.finding import worst_health
 from impslam.errors import ImpError, in_a_line
 from impslam.evaluation.consistency import nees, pose_errors
@@ -112,7 +112,7 @@ def map_drive(drive: RecordedDrive) -> MappedDrive:
     source, live = DriveSource.of(drive), LiveRecorder()
     begin = time.process_time()
     config = fitted(drive.config, source, odometry_is_free=True)
-    findings = first_look(config, source)
+    findings = initial_findings(config, source)
     known = map_log(config, source, [live], health=worst_health(findings))
     seconds = time.process_time() - begin
     outcome = live.outcome

@@ -4,21 +4,21 @@ from __future__ import annotations
 
 from impslam.cli import console
 from impslam.config import Config
-from impslam.diagnosis.diagnose import first_look, unread_copy
+from impslam.diagnosis.diagnose import initial_findings, unread_copy
 from impslam.diagnosis.finding import worst_health
 from impslam.fitting import choices
 from impslam.health import Standing
 from impslam.sources.base import Source
 
 
-def show_first_look(config: Config, source: Source, preset: str | None) -> Standing:
+def show_initial_findings(config: Config, source: Source, preset: str | None) -> Standing:
     """Print the preset, streams and mounts of a run and the problems found; return the health of its poses.
 
     `preset` is the one given by the user, if any.
     """
     with unread_copy(source) as log:
         found = log.preset
-        harm = first_look(config, log)
+        harm = initial_findings(config, log)
         chosen = choices(config, log)
     named = preset or ("stored in the log" if "\n" in found else found)
     console.echo(f"reads: preset {named}; {chosen}")

@@ -5,6 +5,7 @@ import tomllib
 import pytest
 import tomli_w
 from pydantic import BaseModel
+from tests.registry import own_registry
 
 from impslam.cli.console import show_columns
 from impslam.component import components, roles
@@ -83,3 +84,23 @@ def test_config_prints_units(imp) -> None:
     assert "resolution = 0.05  # m" in lines
     assert "seconds = 0.5  # s" in lines
     assert "iterations = 4" in lines  # a count
+
+
+def test_parts_of_plugins_are_listed(imp, tmp_path) -> None:
+    (tmp_path / "mine.toml").write_text('base = "default"\nplugins = ["listed.py"]\n', "utf-8")
+    code = (
+        "from impslam.component import parameter, register\n"
+        "from impslam.extractors.base import Extractor\n\n\n"
+        '@register("listed_plugin")\n'
+        "class Listed(Extractor):\n"
+        '    """Finds nothing."""\n\n'
+        '    width: float = parameter(0.25, "m", "width of nothing")\n\n'
+        "    def extract(self, scan, rng):\n"
+        "        return []\n"
+    )
+    (tmp_path / "listed.py").write_text(code, "utf-8")
+    with own_registry():
+        said = imp("list", "extractor", "-c", str(tmp_path / "mine.toml"))
+    assert said.code == 0, said.err
+    assert "listed_plugin  Finds nothing." in said.out
+    assert "width  0.25  m  width of nothing" in said.out

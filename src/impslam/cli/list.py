@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from importlib.resources import files
 from itertools import takewhile
-from typing import Any, TypeAlias
+from typing import Annotated, Any, TypeAlias
 
+from cyclopts import Parameter
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
@@ -17,9 +18,15 @@ from impslam.errors import ConfigError
 INDENT = 4
 ROBOT = "simulated-robot"
 Row: TypeAlias = tuple[str, ...]
+PluginConfig: TypeAlias = Annotated[
+    str | None,
+    Parameter(name=["--config", "-c"], help="A TOML file; lists the parts of its plug-ins, too."),
+]
 
 
-def list_components(role: str | None = None, /, *, common: Common | None = None) -> None:
+def list_components(
+    role: str | None = None, /, *, config: PluginConfig = None, common: Common | None = None
+) -> None:
     """Print the components of each role with their parameters: name, default, unit, meaning.
 
     Parameters
@@ -27,11 +34,13 @@ def list_components(role: str | None = None, /, *, common: Common | None = None)
     role
         A role (extractor, filter, association, ...), presets, worlds or simulated-robot. Default: all.
     """
-    from impslam.config import presets
+    from impslam.config import load_plugins, presets
     from impslam.simulation.robot import SimulatedRobot
     from impslam.simulation.world import load_world, shipped_worlds
 
     del common
+    if config is not None:
+        load_plugins(config)
     known = [*roles(), "presets", "worlds", ROBOT]
     if role is not None and role not in known:
         role = next((name for name in known if role in (f"{name}s", name.rstrip("s"))), role)

@@ -73,9 +73,9 @@ LENGTH, REACH = 12.0, 50.0
 """m that a submap lasts for, and range of the points in it; as in `ScanToMap`."""
 MIN_POINTS, SPACING = 10, 0.1
 """Points that matching needs, and m between them: a check needs fewer than `ScanToMap`."""
-MIN_SHARE, MIN_FIT = 0.5, 0.9
+MIN_SHARE, MIN_FIT = 0.5, 0.8
 """Share of the points that must fit the submap, and the same relative to the usual share: three walls of
-four may fit elsewhere, and people cover less than a tenth of most scans."""
+four, 0.75, may fit elsewhere, and people cover less than a fifth of most scans."""
 SHARE_MEMORY = 0.1
 """Weight of the newest scan in the usual share: ten scans, a few metres."""
 MATCHING = Alignment(14, 0.4, 0.06, 0.035**-2, 1, math.inf)

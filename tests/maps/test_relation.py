@@ -48,6 +48,50 @@ def test_two_buildings_have_no_place_in_common():
         aligned_to(one, other)
 
 
+UPSTAIRS = np.concatenate(
+    [
+        room(-8.0, 9.0, -5.0, 6.0),
+        walls(
+            [-8, 1, -3, 1],
+            [-2, 1, 0, 1],
+            [-8, -1.5, -5, -1.5],
+            [-4, -1.5, 0, -1.5],
+            [-4, 1, -4, 6],
+            [-1, -1.5, -1, -5],
+            [-7, 3, -6, 3.4],
+            [-6, 3.4, -6, 4.5],
+            [-5.5, -3.5, -4.2, -3.2],
+            [0, 1, 0, 6],
+            [0, -1.5, 0, -5],
+            [3, -5, 3, -3.5],
+            [7, 2, 7, 6],
+        ),
+    ]
+)
+"""The left half is that of `OFFICE`."""
+
+
+@pytest.mark.parametrize(("plan", "same"), [(OFFICE, True), (UPSTAIRS, False)])
+def test_floors_that_are_half_the_same_are_not_one(plan, same):
+    back_and_forth = [
+        way(-7, -0.3, 0, -0.2, 16),
+        way(0, 0.2, -7, 0.3, 16),
+        way(-7, -0.3, 8, -0.2, 30),
+    ]
+    drive = np.concatenate(back_and_forth)
+    one, other = mapped(OFFICE, ALONG), mapped(plan, drive, T=T, seed=1)
+    found = align_maps(one.keyframes, other.keyframes)
+    assert len(found.links) >= 3
+    if same:
+        assert found.outcome is RelationStatus.FOUND
+        assert found.misfit < 0.02
+    else:
+        assert found.outcome is RelationStatus.AMBIGUOUS
+        assert found.misfit > 0.3
+        with pytest.raises(ImpError, match="contradict the other map"):
+            aligned_to(one, other)
+
+
 def test_a_bare_corridor_cannot_be_aligned():
     one = mapped(CORRIDOR, way(-30.0, 0.0, 30.0, 0.1, 40))
     other = mapped(CORRIDOR, way(-20.0, 0.2, 20.0, -0.1, 30), seed=1)

@@ -19,7 +19,7 @@ UNFIT = "most observations match no earlier landmark"
 """What is said where landmarks were entered from a pose that odometry had led astray."""
 CHANGED = "of the scan has changed at once"
 """What is also said of scans that odometry, which stands still or runs ahead, does not explain."""
-ONE_SIDED = "landmarks correct odometry to one side"
+ONE_SIDED, FAR = "landmarks correct odometry to one side", "as far from their positions as expected"
 """What is also said until wheels that turn in vain are found out."""
 
 
@@ -125,5 +125,5 @@ def test_wheels_that_turn_against_a_wall_do_not_move_the_robot(arena, speed, tmp
     assert error < 0.05
     told = summary["health"]
     assert told["scans"]["DEGRADED"] > 20
-    assert reasons(told, UNFIT, CHANGED, ONE_SIDED) == {"the wheels turn, the robot does not"}
+    assert reasons(told, UNFIT, CHANGED, ONE_SIDED, FAR) == {"the wheels turn, the robot does not"}
     assert told["at_end"] == "TRACKING"

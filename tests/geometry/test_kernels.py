@@ -24,7 +24,7 @@ FIT = (
 )
 PRODUCT = (
     "import sys, numpy as np; from impslam.odometry.gyro import _update as f;"
-    "P = np.eye(3); f(np.zeros(3), P, 0.1, (1.0, 0.0), (1.0, 1.0));"
+    "P = np.eye(3); f(np.zeros(3), P, 0.1, (1.0, 0.0, 0.0), (1.0, 1.0));"
     "print(round(P[2, 2], 9), 'scipy.linalg' in sys.modules)"
 )
 

@@ -220,8 +220,7 @@ def normal_equations(
     """Fill `out` with the evidence of every `step`-th feature for a pose (3,), with kernel `scale` m."""
     height, width = surface_map.cells.shape
     c, s = math.cos(pose[2]), math.sin(pose[2])
-    radius = min(float(RADIUS), max(3.0 * scale / CELL, 2.0))
-    min_cell = math.ceil(RADIUS * RADIUS + 1 - radius * radius) << _BITS
+    min_cell = _min_cell(scale)
     # Sums in tuples stay in registers; in arrays, every point would wait for the previous one.
     sums = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     left, low = pose[0] - surface_map.corner[0], pose[1] - surface_map.corner[1]
@@ -257,6 +256,13 @@ def normal_equations(
             sums, share = _add_lone(sums, (rx, ry, nx, ny, weight), surfel, ex, ey, scale)
         inliers += share
     _store(out, sums, (inside, inliers, squares, weights))
+
+
+@kernel
+def _min_cell(scale: float) -> int:
+    """Return the least value of a cell whose surfel is within 3 `scale` m, or two cells."""
+    radius = min(float(RADIUS), max(3.0 * scale / CELL, 2.0))
+    return math.ceil(RADIUS * RADIUS + 1 - radius * radius) << _BITS
 
 
 _Sums: TypeAlias = tuple[float, float, float, float, float, float, float, float, float]

@@ -188,8 +188,7 @@ def _check(
             continue
         count = find_beam_features(beams, k, SPACING, features)
         count = leave_out_oblique(features[:count])
-        motion, wide = pending.pose.copy(), pending.covariance.copy()
-        _widen(wide, pending.clock[0])
+        motion, wide = pending.pose.copy(), _widened(pending.covariance, pending.clock[0])
         if _match(motion, wide, features[:count], pending, submaps, matching):
             out[k] = _find_contradiction(before, motion, wide, history, pending)
             if out[k] != NONE:
@@ -219,10 +218,12 @@ def _due(history: MatchHistory, pending: PendingMotion) -> bool:
 
 
 @kernel
-def _widen(covariance: Array, seconds: float) -> None:
-    """Add the uncertainty of a motion whose odometry is not trusted."""
+def _widened(covariance: Array, seconds: float) -> Array:
+    """Return a covariance (3, 3) plus that of a motion whose odometry is not trusted."""
+    out = covariance.copy()
     for a in range(3):
-        covariance[a, a] += UNKNOWN_MOTION_SIGMA[a] ** 2 * seconds
+        out[a, a] += UNKNOWN_MOTION_SIGMA[a] ** 2 * seconds
+    return out
 
 
 @kernel

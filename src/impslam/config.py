@@ -21,7 +21,9 @@ from impslam.component import (
     build,
     components,
     explain,
+    find,
     load_plugin,
+    names,
     near_miss,
     parameter,
     shorten,
@@ -279,8 +281,10 @@ def _override(below: Table, above: Mapping[str, Any]) -> Table:
     A resolved config lists the keyframes of its estimator; they do not suit another one.
     """
     merged = merge(below, above)
+    if "keyframes" not in below:
+        return merged
     before, after = (_estimator(table) for table in (below, merged))
-    if before is None or before is after or "keyframes" not in below:
+    if before is None or before is after:
         return merged
     if below["keyframes"] != before.keyframes.model_dump(mode="json"):
         return merged
@@ -291,8 +295,10 @@ def _estimator(table: Table) -> type[Estimator] | None:
     """Return the estimator that a config names; None if it names none, or one that is unknown so far."""
     named = table.get("estimator")
     kind = named.get("kind") if isinstance(named, Mapping) else None
-    found = components("estimator").get(kind) if isinstance(kind, str) else None
-    return found if found is not None and issubclass(found, Estimator) else None
+    if kind not in names("estimator"):
+        return None
+    found = find("estimator", kind)
+    return found if issubclass(found, Estimator) else None
 
 
 def parse_setting(setting: str) -> Table:

@@ -57,6 +57,8 @@ def test_mapping_a_text_log_imports_little(tmp_path: Path) -> None:
     assert "impslam.sources.mrclam" not in readers
     assert "impslam.tracking.scan_to_map" in modules
     assert "impslam.association.jcbb" not in modules
+    assert "impslam.estimators.graph" in modules
+    assert "impslam.estimators.particles" not in modules
 
 
 OF_EXTRAS = {

@@ -47,7 +47,7 @@ MAX_LEVER = 30.0
 """m from the nearest agreeing stretch within which scans are compared with the first map: farther away,
 `BEND` puts a beam's end more than 0.3 m off, where it no longer counts as near its wall."""
 MAX_MISFIT = 0.15
-"""Share of beams that contradict the first map. It was 1 to 10 % for maps of one recorded or simulated
+"""Share of beams that contradict the first map. It was 1 to 11 % for maps of one recorded or simulated
 building, some with furniture moved, and 19 to 24 % for floors with equal corridors and other rooms."""
 
 Progress = Callable[[float], None]

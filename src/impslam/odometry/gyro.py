@@ -316,8 +316,9 @@ def _update(
         own += innovation**2
         P[2, 2] += innovation**2
     share = expected / (expected + gyro[0])
-    gain = share * (P[:, 2] / own if own > 0.0 else np.zeros(3))
-    gain[0], gain[2] = (share * wheels[2] / own if own > 0.0 else 0.0), share
+    gain = np.array([0.0, 0.0, share])
+    if own > 0.0:
+        gain[0], gain[1] = share * wheels[2] / own, share * (P[1, 2] / own)
     d_pose += gain * innovation
     d_pose[2] = wrap_in_kernel(d_pose[2])
     A = np.eye(3)
@@ -338,9 +339,7 @@ def _fuse(
     systematic = noise[5] * math.hypot(d_pose[0], d_pose[1]) + noise[6] * abs(d_pose[2])
     wheels = P[2, 2] + systematic
     weight = min(dt / SMOOTHING_TIME, 1.0)
-    path = (
-        state[PATH_COVARIANCE] * dt
-    )  # before this reading, so that it does not depend on its error
+    path = state[PATH_COVARIANCE] * dt  # up to the reading before, whose errors are independent
     state[WHEEL_VARIANCE] += weight * (wheels / dt - state[WHEEL_VARIANCE])
     state[PATH_COVARIANCE] += weight * (P[0, 2] / dt - state[PATH_COVARIANCE])
     stationary = d_pose[0] == 0.0 and d_pose[2] == 0.0 and P[2, 2] == 0.0

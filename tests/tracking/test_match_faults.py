@@ -126,6 +126,15 @@ def test_turns_are_compared_as_well():
     assert results[-1] == STALLED
 
 
+def test_wheels_that_turn_the_robot_on_the_spot_do_not_stand_still():
+    """A lidar 0.2 m off the axis moves as well; odometry does not show this if the mount is unknown."""
+    faults, turn = initial_faults(), np.array([0.0, 0.0, 0.4])
+    for _ in range(8):
+        scans = np.array([0.2 * np.sin(0.4), 0.2 * (1.0 - np.cos(0.4)), 0.4])
+        reason, _ = check_motion(faults, turn, scans, True, False, 0.2)
+        assert reason == NONE
+
+
 def test_a_bare_corridor_reports_its_distance_and_compares_nothing():
     faults = initial_faults()
     results = [

@@ -14,6 +14,7 @@ from impslam.geometry.se2 import between, compose
 from impslam.health import NONE, OPEN, PUSHED, SLIPPED
 from impslam.noise import UNKNOWN, MotionNoise
 from impslam.tracking.base import KeyframeGate
+from impslam.tracking.frozen import remains_frozen
 from impslam.tracking.fusion import SPEED_SIGMA
 from impslam.tracking.learned_odometry import START
 from impslam.tracking.match_information import NORMAL_SIGMA, information, remove_spurious
@@ -269,6 +270,13 @@ def test_a_robot_whose_odometry_freezes_goes_on_through_a_bare_corridor(rng):
     assert (out.reasons[50:150] != NONE).mean() > 0.9
     assert np.abs(off[:, 0]).max() < 0.6
     assert np.abs(np.diff(off[155:, 0])).max() < 0.02
+
+
+def test_odometry_that_turns_on_the_spot_is_not_frozen():
+    state = ScanToMap()._state
+    state.frozen.is_frozen[0] = True
+    assert remains_frozen(np.zeros(3), state)
+    assert not remains_frozen(np.array([0.0, 0.0, 0.5]), state)
 
 
 def test_odometry_that_froze_in_a_bare_corridor_is_noticed_at_the_next_pillar(rng):

@@ -12,7 +12,7 @@ import math
 from impslam.geometry.kernels import kernel
 from impslam.health import PUSHED
 from impslam.tracking.base import Steps
-from impslam.tracking.match_faults import LONG_WINDOW, STATIONARY_SHARE
+from impslam.tracking.match_faults import LONG_WINDOW, MIN_MOTION, STATIONARY_SHARE
 from impslam.tracking.match_information import add_along
 from impslam.tracking.matching_state import Settings, State
 from impslam.types import Array
@@ -33,7 +33,7 @@ def remains_frozen(d_pose: Array, state: State) -> bool:
         math.hypot(d_pose[0], d_pose[1]),
         math.hypot(state.velocity[0], state.velocity[1]),
     )
-    if moved > STATIONARY_SHARE * expected:
+    if moved > STATIONARY_SHARE * expected or abs(d_pose[2]) > MIN_MOTION[1]:
         state.frozen.is_frozen[0] = False
     return bool(state.frozen.is_frozen[0])
 

@@ -242,6 +242,7 @@ def current_fault(faults: MatchFaults, duration: float) -> tuple[int, float]:
 @kernel
 def _motion_fault(faults: MatchFaults, located: bool, far: bool) -> tuple[float, float]:
     """Return the disagreement between the newest match and odometry, and a distance in m."""
+    turns = faults.odometry[1] > MIN_MOTION[1]  # then a lidar that is not at its mount moves, too
     if located:
         for a in range(2):
             if (
@@ -250,7 +251,8 @@ def _motion_fault(faults: MatchFaults, located: bool, far: bool) -> tuple[float,
             ):
                 return float(STALLED), 0.0
             if (
-                faults.scans[a] > MIN_MOTION[a]
+                not turns
+                and faults.scans[a] > MIN_MOTION[a]
                 and faults.odometry[a] < STATIONARY_SHARE * faults.scans[a]
             ):
                 return float(PUSHED), 0.0

@@ -7,7 +7,7 @@ import pytest
 
 from impslam.errors import ImpError
 from impslam.sweeps.job import Job
-from impslam.sweeps.pool import ProcessDied, Processes
+from impslam.sweeps.pool import ProcessDied, Processes, ThisProcess
 
 
 def square(x):
@@ -33,6 +33,12 @@ def test_a_killed_process_loses_one_item():
     results = dict(Processes(2).each(die_at_three, range(6)))
     assert isinstance(results.pop(3), ProcessDied)
     assert results == {k: k for k in range(6) if k != 3}
+
+
+def test_no_work_runs_in_the_process_of_a_pool():
+    """Work in native code may lose, or not survive, the exception of a signal."""
+    assert isinstance(dict(Processes(1).each(die_at_three, [3]))[0], ProcessDied)
+    assert dict(ThisProcess().each(lambda _: os.getpid(), [0])) == {0: os.getpid()}
 
 
 def test_a_job_needs_all_its_results():

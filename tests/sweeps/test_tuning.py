@@ -10,7 +10,7 @@ from impslam import extras
 from impslam.config import load
 from impslam.errors import ConfigError, ImpError
 from impslam.sweeps.cases import find_log
-from impslam.sweeps.pool import Processes
+from impslam.sweeps.pool import Processes, ThisProcess
 from impslam.sweeps.rows import attempt
 from impslam.sweeps.searches import noise_space, parse_space
 from impslam.sweeps.space import Choice, Range
@@ -43,7 +43,7 @@ def tune(folder, trials, work=bowl, processes=1):
         study,
         lambda trial: [dict(suggest(SPACE, trial))],
         "best",
-        Processes(processes),
+        Processes(processes) if processes > 1 else ThisProcess(),
         trials,
         lambda *step: steps.append(step),
         work,

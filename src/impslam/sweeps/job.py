@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TypeAlias, TypeVar
 
 from impslam.errors import ImpError
-from impslam.sweeps.pool import ProcessDied, Processes
+from impslam.sweeps.pool import ProcessDied, Processes, ThisProcess
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -28,7 +28,7 @@ class Job:
     Attributes
     ----------
     seeds : number of simulated runs, of seeds 0, 1, ...; None for the study's default
-    processes : number of processes; the results do not depend on it
+    processes : number of processes; the results do not depend on it, and 1 is the current process
     progress : called after each part of the work
     data : folder of the public logs, for studies that use them
     """
@@ -51,7 +51,8 @@ class Job:
         todo = list(items)
         results: dict[int, R] = {}
         self.progress(stage, 0, len(todo))
-        pool = Processes(min(self.processes, max(1, len(todo))))
+        count = min(self.processes, len(todo))
+        pool = Processes(count) if count > 1 else ThisProcess()
         for index, result in pool.each(work, todo):
             if isinstance(result, ProcessDied):
                 raise ImpError(f"{stage}: {result.why}")

@@ -41,8 +41,19 @@ class Pool(ABC):
 
 
 @dataclass(frozen=True, slots=True)
+class ThisProcess(Pool):
+    """The current process does one item after the other; their work need not be picklable."""
+
+    def each(
+        self, work: Callable[[T], R], items: Iterable[T]
+    ) -> Iterator[tuple[int, R | ProcessDied]]:
+        """Yield results; see `Pool.each`."""
+        return ((index, work(item)) for index, item in enumerate(items))
+
+
+@dataclass(frozen=True, slots=True)
 class Processes(Pool):
-    """Processes on this machine; with a count of one, the current process does the work."""
+    """Processes on this machine. They can be stopped at any time: none of their code runs in this one."""
 
     count: int = 1
 
@@ -51,9 +62,6 @@ class Processes(Pool):
     ) -> Iterator[tuple[int, R | ProcessDied]]:
         """Yield results; see `Pool.each`. Items whose process dies are retried once, one at a time."""
         todo = enumerate(items)
-        if self.count == 1:
-            yield from ((index, work(item)) for index, item in todo)
-            return
         while suspects := (yield from self._until_broken(work, todo)):
             for index, item in suspects.items():
                 yield index, run_in_process(work, item)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from itertools import count
@@ -10,6 +11,9 @@ from pathlib import Path
 from typing import IO
 
 from impslam.errors import ConfigError, ImpError
+
+if sys.platform != "win32":
+    import fcntl
 
 
 def numbered(folder: Path, stem: str, suffix: str = "") -> Iterator[Path]:
@@ -27,6 +31,35 @@ def make_folder(folder: Path, stem: str) -> Path:
             path.mkdir()
             return path
     raise AssertionError("names never end")
+
+
+@contextmanager
+def exclusive(folder: Path) -> Iterator[None]:
+    """Make a folder if it does not exist, and reserve it for this process; nothing is left behind.
+
+    The lock (flock) ends with the process, however that ends. Windows and some file systems have none.
+
+    Raises
+    ------
+    ConfigError
+        If another process has reserved it.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    if sys.platform == "win32":
+        yield
+        return
+    lock = os.open(folder, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            text = f"{folder}: another process writes to it; wait for its end, or give another -o"
+            raise ConfigError(text) from None
+        except OSError:
+            pass
+        yield
+    finally:
+        os.close(lock)
 
 
 def exchange(a: Path, b: Path) -> None:

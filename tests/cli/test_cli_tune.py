@@ -5,6 +5,7 @@ import csv
 import pytest
 
 from impslam.config import load
+from impslam.paths import exclusive
 
 pytest.importorskip("optuna")
 
@@ -24,6 +25,18 @@ def test_a_search_writes_a_config_and_its_evidence(imp, room, tmp_path):
     }
     assert (tmp_path / "out" / "search.png").read_bytes().startswith(b"\x89PNG")
     assert imp(*words, "--trials", 3, "--quiet").code == 0  # goes on, with nothing left to try
+
+
+@pytest.mark.parametrize("command", [["sweep"], ["tune", "--search", "filter.kind=ekf,riekf"]])
+def test_two_commands_do_not_write_to_one_folder(imp, tmp_path, command):
+    name, *more = command
+    with exclusive(tmp_path):
+        said = imp(name, "room", *more, "-o", tmp_path)
+    assert said.code == 2
+    assert said.err == (
+        f"imp: error: {tmp_path}: another process writes to it; wait for its end, or give another -o\n"
+    )
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(

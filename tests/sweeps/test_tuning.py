@@ -91,6 +91,51 @@ def test_a_study_with_another_space_is_rejected(tmp_path):
         open_study(tmp_path, BASE, {"filter.kind": Choice(("ekf", "oc"))})
 
 
+def test_a_continued_search_does_not_repeat_its_first_suggestions(tmp_path):
+    study, _ = tune(tmp_path, 4)
+    study, _ = tune(tmp_path, 8)
+    noise = [trial.params["odometry.wheel_noise"] for trial in study.trials]
+    assert len(set(noise)) == 8
+
+
+def test_scores_of_other_logs_settings_or_kinds_are_not_mixed(tmp_path):
+    def opened(world="room", config="imp", settings=(), seeds=1, score="best"):
+        task = Task([find_log(world)], [], config, settings, seeds)
+        return open_study(tmp_path, BASE, SPACE, task.evidence(score))
+
+    opened()
+    opened()
+    for other in (
+        {"world": "arena"},
+        {"config": "thesis-lines"},
+        {"settings": ["grid.resolution=0.1"]},
+        {"seeds": 2},
+    ):
+        with pytest.raises(
+            ConfigError, match=r"another search \(with other runs\); give another -o"
+        ):
+            opened(**other)
+    with pytest.raises(ConfigError, match=r"with other score"):
+        opened(score="quality")
+
+
+@pytest.mark.parametrize(
+    ("range_", "value", "text"),
+    [
+        (Range(0.001, 1.0), 0.0123456, "0.01235"),
+        (Range(0.99, 0.99999), 0.9999512345, "0.99995"),
+        (Range(0.9999, 0.999999), 0.99999876, "0.9999988"),
+        (Range(0.10004, 0.9), 0.1000400001, "0.10004"),
+    ],
+)
+def test_a_suggestion_is_rounded_as_its_range_allows(range_, value, text):
+    class Trial:
+        def suggest_float(self, *_, **__):
+            return value
+
+    assert range_.suggest(Trial(), "key") == text
+
+
 def test_the_first_reason_is_reported_if_all_trials_fail(tmp_path):
     def refuse(cases):
         return [{"log": "toy", "error": "no scan"}]

@@ -13,8 +13,9 @@ from cyclopts import Parameter
 
 from impslam.cli import console
 from impslam.cli.console import Common, Jobs, Output, Repeatable, Whole
+from impslam.cli.interruption import stopped_at_once
 from impslam.errors import ConfigError
-from impslam.paths import make_folder
+from impslam.paths import exclusive, make_folder
 
 if TYPE_CHECKING:
     from impslam.sweeps.cases import Case, Log
@@ -87,14 +88,15 @@ def sweep(  # noqa: PLR0913  # each is an option that a user may give
     todo = cases(found, configs or (None,), alternatives(settings), seeds)
     pool = make_pool(jobs, scheduler)
     folder = output or make_folder(Path("runs"), f"sweep-{time.strftime('%Y%m%d-%H%M%S')}")
-    journal = Journal(folder)
-    remaining = [case for case in todo if not journal.has(case.row())]
-    if not quiet and len(remaining) < len(todo):
-        console.echo(f"{len(todo) - len(remaining)} of {len(todo)} runs are already done")
-    try:
-        _run(remaining, pool, journal, quiet)
-    finally:
-        files = write(folder, journal.rows()) if journal.rows() else []
+    with stopped_at_once(), exclusive(folder):
+        journal = Journal(folder)
+        remaining = [case for case in todo if not journal.has(case.row())]
+        if not quiet and len(remaining) < len(todo):
+            console.echo(f"{len(todo) - len(remaining)} of {len(todo)} runs are already done")
+        try:
+            _run(remaining, pool, journal, quiet)
+        finally:
+            files = write(folder, journal.rows()) if journal.rows() else []
     if not quiet:
         show_errors(journal.rows())
         console.echo(f"table: {', '.join(map(str, files))}")
@@ -142,12 +144,11 @@ def make_pool(jobs: int | None, scheduler: str | None) -> Pool:
 
 def _run(cases: Sequence[Case], pool: Pool, journal: Journal, quiet: bool) -> None:
     """Run cases and write their rows to the journal as they complete."""
-    from impslam.cli.interruption import stopped_at_once
     from impslam.cli.progress import StageBars, display
     from impslam.sweeps.measures import run_case
     from impslam.sweeps.pool import ProcessDied
 
-    with stopped_at_once(), display(quiet) as progress:
+    with display(quiet) as progress:
         bars = StageBars(progress, "sweep")
         bars("runs", 0, len(cases))
         for done, (index, result) in enumerate(pool.each(run_case, cases), start=1):

@@ -11,9 +11,10 @@ from cyclopts import Parameter
 
 from impslam.cli import console
 from impslam.cli.console import Common, ConfigName, Jobs, Output, Settings, Whole
+from impslam.cli.interruption import stopped_at_once
 from impslam.cli.sweep import Files, Scheduler, find_logs, make_pool
 from impslam.errors import ConfigError
-from impslam.paths import make_folder
+from impslam.paths import exclusive, make_folder
 
 if TYPE_CHECKING:
     from impslam.sweeps.cases import Case
@@ -94,19 +95,19 @@ def tune(  # noqa: PLR0913  # each is an option that a user may give
     task = Task(tuned_on, held_out, config, settings, search.seeds)
     space, pool = task.space(search.search), make_pool(jobs, scheduler)
     folder = output or make_folder(Path("runs"), f"tune-{time.strftime('%Y%m%d-%H%M%S')}")
-    study = _search(task, space, search, pool, folder, quiet)
-    _finish(task, space, study, search.score, pool, folder, quiet)
+    with stopped_at_once(), exclusive(folder):
+        study = _search(task, space, search, pool, folder, quiet)
+        _finish(task, space, study, search.score, pool, folder, quiet)
 
 
 def _search(task: Task, space: Space, search: Search, pool: Pool, folder: Path, quiet: bool) -> Any:
     """Search the space; return the study."""
-    from impslam.cli.interruption import stopped_at_once
     from impslam.cli.progress import StageBars, display
     from impslam.sweeps.tuning import open_study, suggest
     from impslam.sweeps.tuning import search as find
 
-    study = open_study(folder, task.values(space), space)
-    with stopped_at_once(), display(quiet) as progress:
+    study = open_study(folder, task.values(space), space, task.evidence(search.score))
+    with display(quiet) as progress:
         bars = StageBars(progress, "tune")
 
         def cases(trial: Any) -> list[Case]:

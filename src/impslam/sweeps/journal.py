@@ -7,6 +7,7 @@ from pathlib import Path
 
 from impslam.errors import ConfigError
 from impslam.evaluation.json_values import json_values
+from impslam.paths import replacement
 from impslam.sweeps.rows import Row
 
 JOURNAL = "runs.jsonl"
@@ -34,7 +35,8 @@ class Journal:
         folder.mkdir(parents=True, exist_ok=True)
         whole = _whole_lines(self._file)
         self._rows = {identity(row): row for row in map(json.loads, whole)}
-        self._file.write_text("".join(whole), encoding="utf-8")
+        with replacement(self._file) as stream:  # a signal or a full disk leaves the old file
+            stream.write("".join(whole).encode())
 
     def add(self, row: Row) -> None:
         """Store the row of a run."""

@@ -8,6 +8,9 @@ from typing import Any, TypeAlias
 
 from impslam.sweeps.cases import plain
 
+ROUNDING = 5e-4
+"""Rounding of a suggested value, relative to itself and to its range: what four digits cause."""
+
 
 @dataclass(frozen=True, slots=True)
 class Range:
@@ -21,8 +24,16 @@ class Range:
         """Return the value suggested by a trial."""
         if self.whole:
             return str(trial.suggest_int(key, int(self.low), int(self.high)))
-        value = trial.suggest_float(key, self.low, self.high, log=self.low > 0.0)
-        return f"{value:.4g}"
+        return self._rounded(trial.suggest_float(key, self.low, self.high, log=self.low > 0.0))
+
+    def _rounded(self, value: float) -> str:
+        """Return a value with no more digits than matter in the range, and inside it."""
+        tolerance = ROUNDING * min(abs(value), self.high - self.low)
+        for digits in range(1, 17):
+            text = f"{value:.{digits}g}"
+            if abs(float(text) - value) <= tolerance and self.contains(float(text)):
+                return text
+        return repr(value)
 
     def contains(self, value: Any) -> bool:
         """Return whether a value is within the range."""

@@ -6,10 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 from impslam.config import Config, load, presets
 from impslam.errors import ConfigError
 from impslam.open_log import open_log
+from impslam.provenance import fingerprint
 from impslam.sources.base import recognise
 from impslam.sweeps.cases import SIMULATED, Case, Log, Settings, cases
 from impslam.sweeps.measures import run_case
@@ -70,6 +72,16 @@ class Task:
         for end in ("low", "high"):
             self.cases(tuple((key, str(getattr(part, end))) for key, part in space.items()))
         return space
+
+    def evidence(self, score: str) -> dict[str, Any]:
+        """Return what the scores of a search depend on besides the searched parameters, for JSON."""
+        rows = [case.row() for case in self.cases(())]
+        files = [file for log in self.logs for file in (log.truth, log.relations) if file]
+        return {
+            "score": score,
+            "runs": [{name: row[name] for name in row if name != "log"} for row in rows],
+            "references": [fingerprint(Path(file)) for file in files],
+        }
 
     def values(self, space: Space) -> Settings:
         """Return the configured values of the searched parameters."""

@@ -6,7 +6,7 @@ The next trial is chosen by tree-structured Parzen estimators (Bergstra et al. 2
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -39,15 +39,22 @@ MESSAGE = "message"
 Progress: TypeAlias = Callable[[str, int, int], None]
 
 
-def open_study(folder: Path, base: Settings, space: Space) -> Any:
+def open_study(
+    folder: Path, base: Settings, space: Space, evidence: Mapping[str, Any] | None = None
+) -> Any:
     """Open the study of a folder, or create one.
 
     The first trial of a new study is the config itself.
 
+    Parameters
+    ----------
+    base : the configured values of the searched parameters
+    evidence : what the scores depend on besides these, for JSON; see `Task.evidence`
+
     Raises
     ------
     ConfigError
-        If the extra is not installed, or the existing study has another search space.
+        If the extra is not installed, or the existing study has another search space or other evidence.
     """
     try:
         import optuna  # noqa: PLC0415  # an extra
@@ -59,15 +66,21 @@ def open_study(folder: Path, base: Settings, space: Space) -> Any:
     folder.mkdir(parents=True, exist_ok=True)
     study = optuna.create_study(
         storage=JournalStorage(JournalFileBackend(str(folder / JOURNAL))),
-        sampler=optuna.samplers.TPESampler(seed=0, n_startup_trials=2 * len(space) + 4),
         study_name="tune",
         direction="minimize",
         load_if_exists=True,
     )
-    searched = {key: repr(part) for key, part in space.items()}
-    if study.user_attrs.setdefault("space", searched) != searched:
-        raise ConfigError(f"{folder}: contains another search; give another -o")
-    study.set_user_attr("space", searched)
+    searched = {"space": {key: repr(part) for key, part in space.items()}, **(evidence or {})}
+    before = study.user_attrs or searched
+    if others := [name for name in searched if before.get(name) != searched[name]]:
+        text = f"contains another search (with other {', '.join(others)})"
+        raise ConfigError(f"{folder}: {text}; give another -o")
+    for name, value in searched.items():
+        study.set_user_attr(name, value)
+    # Each continuation has a seed of its own: the same one would suggest the first trials again.
+    study.sampler = optuna.samplers.TPESampler(
+        seed=len(study.trials), n_startup_trials=2 * len(space) + 4
+    )
     if not study.trials:
         known = {key: plain(value) for key, value in base if space[key].contains(plain(value))}
         study.enqueue_trial(known)

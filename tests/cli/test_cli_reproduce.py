@@ -3,6 +3,7 @@
 import base64
 import json
 import re
+import signal
 import subprocess
 import sys
 
@@ -86,16 +87,19 @@ def test_only_requested_experiments_run_in_the_order_of_the_report(tmp_path):
     assert not (tmp_path / "points.png").exists()
 
 
-def test_an_interruption_keeps_the_experiments_that_are_done(tmp_path, monkeypatch, capsys):
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_an_interruption_keeps_the_experiments_that_are_done(
+    tmp_path, monkeypatch, capsys, number, code
+):
     toy = command._study
 
     def interrupted(job):
-        raise KeyboardInterrupt
+        signal.raise_signal(number)
 
     monkeypatch.setattr(
         command, "_study", lambda name: interrupted if name == "lines" else toy(name)
     )
-    assert main(["reproduce", "-o", str(tmp_path / "out"), "-j", "1"]) == 130
+    assert main(["reproduce", "-o", str(tmp_path / "out"), "-j", "1"]) == code
     assert "out contains figures.json, report.html, report.md" in capsys.readouterr().err
     facts = json.loads((tmp_path / "out" / "figures.json").read_text())
     assert "points" in facts

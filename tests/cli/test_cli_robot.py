@@ -8,8 +8,11 @@ import re
 import signal
 import socket
 import stat
+import subprocess
+import sys
 import threading
 import time
+from pathlib import Path
 
 import pytest
 
@@ -153,6 +156,48 @@ def test_a_replay_on_a_port_in_use_writes_nothing(imp, room, tmp_path, taken):
     assert f"port {taken}" in said.err
     assert not (tmp_path / "run").exists()
     assert time.monotonic() - began < 4.0  # nothing was compiled, and nothing had to be ended
+
+
+COMPILER = """
+import os, sys, time
+from pathlib import Path
+from impslam.platform.station.warm_up import end_with_parent
+end_with_parent()
+Path(sys.argv[1]).write_text(f"{os.getpid()} ")
+time.sleep(60)
+"""
+STARTING = f"""
+import sys, time
+from impslam.cli import main
+from impslam.platform.console import server
+from impslam.platform.station import player, warm_up
+def compiling(config):
+    warm_up.run_until_either_ends([sys.executable, "-c", {COMPILER!r}, sys.argv.pop()])
+after = player.Player.__init__.__defaults__[1:]
+player.Player.__init__.__defaults__ = (compiling, *after)
+server.prepared = lambda *_: time.sleep(60)
+sys.exit(main(sys.argv[1:-1]))
+"""
+
+
+def test_a_signal_before_the_page_is_served_ends_a_replay_at_once(room, tmp_path):
+    """Also while kernels are compiled, in a process that then ends, too."""
+    pid, folder = tmp_path / "pid", tmp_path / "run"
+    words = ["run", str(room), "--live", "--port", "0", "-o", str(folder), str(pid)]
+    command = [sys.executable, "-c", STARTING, *words]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+        while not (pid.exists() and pid.read_text().endswith(" ")):
+            assert process.poll() is None
+            time.sleep(0.05)
+        begin = time.monotonic()
+        process.send_signal(signal.SIGTERM)
+        _, err = process.communicate(timeout=50)
+    assert (process.returncode, err) == (143, "imp: terminated\n")
+    assert time.monotonic() - begin < 3.0
+    assert not folder.exists()
+    while Path(f"/proc/{pid.read_text().strip()}").exists():
+        assert time.monotonic() - begin < 10.0
+        time.sleep(0.05)
 
 
 def test_a_replay_stopped_early_prints_one_line_and_writes_the_partial_map(

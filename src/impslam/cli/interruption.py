@@ -51,7 +51,7 @@ class Interruption:
 
 @contextmanager
 def stopped_at_once() -> Iterator[None]:
-    """Raise `Interrupted` on the first signal: for a command whose other processes do the work."""
+    """Raise `Interrupted` on the first signal: while other processes or threads do the work."""
     with _handling(_raise):
         yield
 

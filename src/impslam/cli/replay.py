@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 from impslam.cli import console
+from impslam.cli.interruption import stopped_at_once
 from impslam.errors import ConfigError, QuitError
 from impslam.extras import install
 
@@ -48,23 +49,24 @@ def replay(
         If the replay was stopped before the end of the log.
     """
     need_web()
-    from impslam.observers.live_view import LiveView
-    from impslam.platform.console.model import Model  # needs the extra
-    from impslam.platform.console.server import ServerSettings, listening, serve
-    from impslam.platform.station.player import play_live
+    with stopped_at_once():  # until the page is served, which handles the signals
+        from impslam.observers.live_view import LiveView
+        from impslam.platform.console.model import Model  # needs the extra
+        from impslam.platform.console.server import ServerSettings, listening, serve
+        from impslam.platform.station.player import play_live
 
-    view, settings = LiveView(), ServerSettings(port=port)
-    with listening(settings) as listener:
-        player = play_live(config, source, observers, view, health)
-        try:
-            serve(
-                Model(source.path.name, view, player=player),
-                settings,
-                ready=lambda line: None if quiet else console.echo(line),
-                listener=listener,
-            )
-        finally:
-            player.stop()
+        view, settings = LiveView(), ServerSettings(port=port)
+        with listening(settings) as listener:
+            player = play_live(config, source, observers, view, health)
+            try:
+                serve(
+                    Model(source.path.name, view, player=player),
+                    settings,
+                    ready=lambda line: None if quiet else console.echo(line),
+                    listener=listener,
+                )
+            finally:
+                player.stop()
     known = player.wait(0.0)
     if known is None:
         raise QuitError("the replay was stopped before the end of the log; nothing was written")

@@ -514,7 +514,7 @@ def test_arrival_and_latency_are_reported(room):
 def test_the_estimator_is_compiled_in_a_subprocess(monkeypatch, tmp_path):
     calls = []
     monkeypatch.setattr(warm, "_done", set())
-    monkeypatch.setattr(warm.subprocess, "run", lambda command, **_: calls.append(command))
+    monkeypatch.setattr(warm, "run_until_either_ends", calls.append)
     config = load("imp")
     warm.warm_up(config)
     warm.warm_up(config)
@@ -544,7 +544,7 @@ def test_the_estimator_is_compiled_in_place_if_the_subprocess_fails(monkeypatch,
 
     done = set()
     monkeypatch.setattr(warm, "_done", done)
-    monkeypatch.setattr(warm.subprocess, "run", fail)
+    monkeypatch.setattr(warm.subprocess, "Popen", fail)
     with caplog.at_level(logging.WARNING, "impslam"):
         warm.warm_up(load("imp"))
     assert len(done) == 1

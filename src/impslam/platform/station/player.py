@@ -141,6 +141,8 @@ class Player:
     def stop(self) -> None:
         """End early; observers finish with the map up to now, so that a run folder is written."""
         self._pace.stop()
+        if self._phase == "compiling":  # there is no map yet, and the thread ends before it plays
+            return
         if self._thread.is_alive():
             self._thread.join(STOP_TIMEOUT)
         if self._phase == "writing":  # half a folder would stay

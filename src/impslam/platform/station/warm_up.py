@@ -92,12 +92,36 @@ def _compile_in_subprocess(table: str) -> None:
         path.write_text(table, encoding="utf-8")
         command = [sys.executable, "-m", "impslam.platform.station.warm_up", str(path)]
         try:
-            subprocess.run(command, check=True, capture_output=True, timeout=COMPILE_TIMEOUT)  # noqa: S603  ours
+            run_until_either_ends(command)
         except (OSError, subprocess.SubprocessError) as error:
             log.warning("compiling in a subprocess failed (%s); compiling in place", error)
 
 
+def run_until_either_ends(command: list[str]) -> None:
+    """Run a command that calls `end_with_parent`: the end of this process closes its stdin."""
+    none = subprocess.DEVNULL
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=none, stderr=none) as process:  # noqa: S603  ours
+        try:
+            code = process.wait(COMPILE_TIMEOUT)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            raise
+    if code:
+        raise subprocess.CalledProcessError(code, command)
+
+
+def end_with_parent() -> None:
+    """End this process once its stdin is closed."""
+
+    def wait() -> None:
+        sys.stdin.buffer.read()
+        os._exit(1)
+
+    threading.Thread(target=wait, daemon=True).start()
+
+
 if __name__ == "__main__":
+    end_with_parent()
     if hasattr(os, "nice"):
         os.nice(NICENESS)
     rehearse(load(sys.argv[1]))

@@ -31,13 +31,13 @@ from impslam.platform.console.model import Model
 from impslam.platform.console.session import Session
 from impslam.platform.devices.base import DeviceHealth, now
 from impslam.platform.station.helm import Helm
+from impslam.platform.station.log_store import StoredLog
 from impslam.platform.station.map_store import StoredMap
 from impslam.platform.station.mapper_status import MapperStatus
 from impslam.platform.station.player import PlayerStatus
 from impslam.platform.station.recorder import RecordingStatus
-from impslam.platform.station.shelf import Binned
 from impslam.platform.station.station import StationHealth
-from impslam.platform.station.store import StoredLog
+from impslam.platform.station.store import DeletedEntry
 from impslam.types import Array, Climate, Event, Image, Landmark
 
 LIMITS = (0.6, 1.5)
@@ -186,18 +186,18 @@ class FakeStore:
                 "20261118-170455-corridor.mcap", 412_213_554, t - 190_000, False, False, 7812.0
             ),
         ]
-        self.binned: list[Binned] = []
+        self.binned: list[DeletedEntry] = []
 
     def logs(self) -> list[StoredLog]:
         return list(self.kept)
 
-    def bin(self) -> list[Binned]:
+    def bin(self) -> list[DeletedEntry]:
         return list(self.binned)
 
     def delete(self, name: str) -> None:
         log = next(log for log in self.kept if log.name == name)
         self.kept.remove(log)
-        self.binned.insert(0, Binned("1-" + name, name, log.size, time.time()))
+        self.binned.insert(0, DeletedEntry("1-" + name, name, log.size, time.time()))
 
     def restore(self, name: str) -> Path:
         one = next(one for one in self.binned if one.name == name)
@@ -217,18 +217,18 @@ class FakeMaps:
             StoredMap("map-20261120-141503", 1_912_000, t - 3600, 8512, False, True),
             StoredMap("map-20261118-170455", 93_000, t - 190_000, 0, False, False, "not a map"),
         ]
-        self.binned: list[tuple[Binned, StoredMap]] = []
+        self.binned: list[tuple[DeletedEntry, StoredMap]] = []
 
     def maps(self) -> list[StoredMap]:
         return sorted(self.kept, key=lambda one: -one.modified)
 
-    def bin(self) -> list[Binned]:
+    def bin(self) -> list[DeletedEntry]:
         return [binned for binned, _ in self.binned]
 
     def delete(self, name: str) -> None:
         one = next(one for one in self.kept if one.name == name)
         self.kept.remove(one)
-        self.binned.insert(0, (Binned("1_" + name, name, one.size, time.time()), one))
+        self.binned.insert(0, (DeletedEntry("1_" + name, name, one.size, time.time()), one))
 
     def restore(self, name: str) -> Path:
         found = next(pair for pair in self.binned if pair[0].name == name)

@@ -20,8 +20,8 @@ from impslam.platform.console.accounts import Accounts, write_private
 from impslam.platform.console.model import Model
 from impslam.platform.console.server import Server, ServerSettings, listening, prepared
 from impslam.platform.console.session import Session
+from impslam.platform.station.log_store import LogStore
 from impslam.platform.station.map_store import MapStore
-from impslam.platform.station.store import LogStore
 from impslam.types import Image
 
 DRIVE, WATCH = "drive-password", "watch-password"

@@ -13,9 +13,9 @@ from nicegui import Client, ui
 from tests.platform.console.serving import WATCH, serving
 from tests.platform.console.test_security import opened, page_of, soon, status
 
-from impslam.platform.console import admission, pages
+from impslam.platform.console import admission, page_limits
 from impslam.platform.console.admission import MAX_PER_CLIENT, Lane
-from impslam.platform.console.pages import MAX_PAGES, MAX_UNOPENED, MAX_WATCHER_PAGES
+from impslam.platform.console.page_limits import MAX_PAGES, MAX_UNOPENED, MAX_WATCHER_PAGES
 
 BUILD = 0.1  # s that a page takes to build, as on an ARM board
 
@@ -143,7 +143,7 @@ class TestPages:
             assert owned(False).count(mine) == MAX_UNOPENED
 
     def test_pages_that_were_left_are_deleted_once(self, served, monkeypatch, caplog):
-        monkeypatch.setattr(pages, "MAX_UNOPENED", 1)
+        monkeypatch.setattr(page_limits, "MAX_UNOPENED", 1)
         with served.logged_in(WATCH) as watcher:
             page, _ = page_of(watcher)
             with opened(served, watcher, page=page):
@@ -155,7 +155,7 @@ class TestPages:
         assert not [record for record in caplog.records if record.name == "nicegui"]
 
     def test_open_pages_are_kept_and_bounded(self, served, monkeypatch, caplog):
-        monkeypatch.setattr(pages, "MAX_PAGES", 2)
+        monkeypatch.setattr(page_limits, "MAX_PAGES", 2)
         with served.logged_in(WATCH) as watcher, contextlib.ExitStack() as stack:
             for _ in range(2):
                 stack.enter_context(opened(served, watcher, page=page_of(watcher)[0]))
@@ -164,7 +164,7 @@ class TestPages:
             assert "too many pages" in caplog.text
 
     def test_all_watchers_together_are_bounded(self, served, monkeypatch):
-        monkeypatch.setattr(pages, "MAX_WATCHER_PAGES", 4)
+        monkeypatch.setattr(page_limits, "MAX_WATCHER_PAGES", 4)
         for _ in range(4):
             with served.logged_in(WATCH) as watcher:
                 for _ in range(2):

@@ -14,7 +14,7 @@ from tests.platform.console.serving import DRIVE, PICTURE, WATCH, serving
 
 from impslam.platform.console.downloads import FixedLengthFileResponse
 from impslam.platform.console.throttle import RESET_TIME
-from impslam.platform.station.store import StoredLog
+from impslam.platform.station.log_store import StoredLog
 
 CONTENT = os.urandom(300_000)
 
@@ -131,7 +131,7 @@ class TestLogs:
 
     def test_the_list(self, client, monkeypatch):
         stored = [StoredLog("one.mcap", 3, 1.0, True, False, float("nan"))]
-        monkeypatch.setattr("impslam.platform.station.store.LogStore.logs", lambda self: stored)
+        monkeypatch.setattr("impslam.platform.station.log_store.LogStore.logs", lambda self: stored)
         assert client.get("/logs").json() == [dataclasses.asdict(stored[0]) | {"duration": None}]
 
 

@@ -15,7 +15,7 @@ from tests.platform.console.serving import DRIVE, PICTURE, WATCH, raw, serving
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
-from impslam.platform.console import guard, pages, protocol, refusals
+from impslam.platform.console import guard, page_limits, protocol, refusals
 from impslam.platform.console.session import IDLE_TIMEOUT, LIFETIME
 from impslam.platform.console.throttle import FREE_TRIES, RESET_TIME
 
@@ -619,7 +619,8 @@ class TestMessages:
 
     @pytest.fixture
     def page(self, served, monkeypatch):
-        monkeypatch.setattr(pages, "MAX_WATCHER_PAGES", 1000)  # a page that was left stays for 3 s
+        # A page that was left stays for 3 s.
+        monkeypatch.setattr(page_limits, "MAX_WATCHER_PAGES", 1000)
         with served.logged_in(WATCH) as client:
             page, press = page_of(client)
             with opened(served, client, page=page) as line:

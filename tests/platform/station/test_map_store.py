@@ -9,7 +9,7 @@ from tests.observers import runs
 from impslam.errors import ImpError
 from impslam.maps import archive
 from impslam.platform.station.map_store import MapStore
-from impslam.platform.station.shelf import StoreError
+from impslam.platform.station.store import StoreError
 
 
 def make(folder, name, scans=50):

@@ -14,10 +14,10 @@ from impslam.observers.live_view import Snapshot
 from impslam.platform.console.encoding import Frame, Mark, SentState, common, difference, mark
 from impslam.platform.console.model import Model
 from impslam.platform.devices.base import now
+from impslam.platform.station.log_store import StoredLog
 from impslam.platform.station.map_store import StoredMap
-from impslam.platform.station.shelf import Binned
 from impslam.platform.station.station import StationHealth
-from impslam.platform.station.store import StoredLog
+from impslam.platform.station.store import DeletedEntry
 from impslam.types import Array
 
 T = TypeVar("T")
@@ -91,12 +91,12 @@ class Feed:
         assert self.model.station is not None
         return self.model.station.health()
 
-    def _logs(self) -> tuple[list[StoredLog], list[Binned]]:
+    def _logs(self) -> tuple[list[StoredLog], list[DeletedEntry]]:
         assert self.model.station is not None
         store = self.model.station.store
         return store.logs(), store.bin()
 
-    def _maps(self) -> tuple[list[StoredMap], list[Binned]]:
+    def _maps(self) -> tuple[list[StoredMap], list[DeletedEntry]]:
         assert self.model.station is not None
         store = self.model.station.maps
         return store.maps(), store.bin()

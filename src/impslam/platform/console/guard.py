@@ -27,7 +27,7 @@ from impslam.platform.console.connection import (
     with_body,
 )
 from impslam.platform.console.messages import check_opening
-from impslam.platform.console.pages import make_room
+from impslam.platform.console.page_limits import make_room
 from impslam.platform.console.request import IncomingRequest, Refusal
 from impslam.platform.console.request_checks import check_host, check_origin, check_shape
 from impslam.platform.console.routes import PAGE, check_route

@@ -11,9 +11,9 @@ from impslam.platform.console.feed import Feed
 from impslam.platform.console.stored_panel import StoredPanel, moment
 from impslam.platform.console.viewer import Viewer
 from impslam.platform.console.widgets import button, card, duration, line, show, size, tagged, text
+from impslam.platform.station.log_store import StoredLog
 from impslam.platform.station.recorder import RecordingStatus
 from impslam.platform.station.station import Station
-from impslam.platform.station.store import StoredLog
 
 
 class RecordPanel:

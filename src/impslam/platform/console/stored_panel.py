@@ -13,7 +13,7 @@ from nicegui.element import Element
 from impslam.platform.console.feed import Cached
 from impslam.platform.console.viewer import Viewer
 from impslam.platform.console.widgets import button, card, size, tagged, text
-from impslam.platform.station.shelf import Binned
+from impslam.platform.station.store import DeletedEntry
 
 MAX_ROWS = 100  # of a list; more would make the page slow
 
@@ -58,7 +58,7 @@ class StoredPanel(Generic[S]):
         word: str,
         icon: str,
         empty_text: str,
-        read: Cached[tuple[list[S], list[Binned]]],
+        read: Cached[tuple[list[S], list[DeletedEntry]]],
         store: Store,
         viewer: Viewer,
     ) -> None:
@@ -66,7 +66,7 @@ class StoredPanel(Generic[S]):
         self._viewer = viewer
         self._reading = False
         self._shown: list[S] | None = None
-        self._binned: list[Binned] | None = None
+        self._binned: list[DeletedEntry] | None = None
         with card(f"{word.capitalize()}s", icon, f"{word}s"):
             self._list = tagged(ui.element("div").classes("list"), f"{word}s")
             with html.details().classes("fold"):
@@ -118,7 +118,7 @@ class StoredPanel(Generic[S]):
         self._read.expire()
         await self.update()
 
-    def _show(self, stored: list[S], binned: list[Binned]) -> None:
+    def _show(self, stored: list[S], binned: list[DeletedEntry]) -> None:
         if stored != self._shown:
             self._shown = stored
             self._fill()

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from impslam.errors import ImpError
 from impslam.maps import archive
-from impslam.platform.station.shelf import MAPS, Shelf, StoreError
+from impslam.platform.station.store import MAPS, Store, StoreError
 
 FILE = "map.imp"
 REPORT = "report.html"
@@ -38,7 +38,7 @@ class StoredMap:
     damage: str = ""
 
 
-class MapStore(Shelf):
+class MapStore(Store):
     """The maps in a folder; every method may be called from any thread.
 
     Parameters

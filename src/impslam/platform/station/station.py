@@ -15,12 +15,12 @@ from impslam.observers.live_view import LiveView
 from impslam.platform.devices.base import Device, DeviceHealth, DriveDevice, Reading, event, now
 from impslam.platform.station.continued_map import load_continued_map
 from impslam.platform.station.helm import Helm
+from impslam.platform.station.log_store import LogStore
 from impslam.platform.station.map_keeper import MapKeeper
 from impslam.platform.station.map_store import MapStore
 from impslam.platform.station.mapper import LiveMapper
 from impslam.platform.station.mapper_status import MapperStatus
 from impslam.platform.station.recorder import LogRecorder, RecordingStatus
-from impslam.platform.station.store import LogStore
 from impslam.types import Climate, Event, Image, Velocity
 
 MAX_EVENTS = 200  # kept for the page; the log has all of them

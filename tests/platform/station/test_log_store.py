@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from impslam.errors import ImpError
-from impslam.platform.station.store import LogStore, StoreError
+from impslam.platform.station.log_store import LogStore, StoreError
 from impslam.sources.live_recording import LiveMcapWriter
 from impslam.types import WheelAngles
 

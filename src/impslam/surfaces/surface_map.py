@@ -16,8 +16,8 @@ import numpy as np
 
 from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.kernels import kernel
-from impslam.pages import zero_pages
 from impslam.surfaces.features import Features
+from impslam.surfaces.zero_pages import zero_pages
 from impslam.types import Array, Ints
 
 CELL = 0.05  # m: surfels of one wall are in neighbouring cells

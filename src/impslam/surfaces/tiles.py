@@ -13,7 +13,6 @@ from typing import NamedTuple
 import numpy as np
 
 from impslam.geometry.kernels import kernel
-from impslam.pages import zero_pages
 from impslam.surfaces.features import Features
 from impslam.surfaces.surface_map import (
     CELL,
@@ -24,6 +23,7 @@ from impslam.surfaces.surface_map import (
     clear,
     normal_equations,
 )
+from impslam.surfaces.zero_pages import zero_pages
 from impslam.types import Array, Ints
 
 CELLS = 80  # along a side of a tile's square

@@ -6,12 +6,12 @@ import sys
 import numpy as np
 import pytest
 
-from impslam.pages import zero_pages
+from impslam.surfaces.zero_pages import zero_pages
 
 # Arrays as large as a tracker's, one after another: the C library would keep the memory of the first ones.
 GROWTH = """
 import os
-from impslam.pages import zero_pages
+from impslam.surfaces.zero_pages import zero_pages
 
 def resident():
     with open("/proc/self/statm") as file:

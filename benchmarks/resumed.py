@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from impslam.continuing import Known
+from impslam.continuing import KnownMap
 from impslam.evaluation.relations import read_relations, relation_errors
 from impslam.map import Map
 from impslam.open_log import open_log
@@ -81,7 +81,7 @@ def localise(log: Path, folder: Path) -> None:
     whole, first = run(log).path(), run(halves[0])
     begin = time.process_time()
     config, source = open_log(halves[1])
-    there = map_log(config, source, begin=Known(first, frozen=True)).path()
+    there = map_log(config, source, begin=KnownMap(first, frozen=True)).path()
     seconds = time.process_time() - begin
     off = np.hypot(*(there - whole[len(whole) - len(there) :])[:, 1:3].T)
     q = np.percentile(off, [50, 95])

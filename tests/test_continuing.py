@@ -9,7 +9,7 @@ from tests.numeric import wrapped
 
 import impslam
 from impslam.config import load
-from impslam.continuing import Known, begin_with
+from impslam.continuing import KnownMap, begin_with
 from impslam.errors import ConfigError, ImpError
 from impslam.geometry.se2 import between, compose
 from impslam.map import Map
@@ -236,7 +236,7 @@ def test_a_log_that_differs_in_the_middle_begins_a_session(drive, whole):
 
 def test_a_map_is_what_frozen_and_hints_are_about(whole, tmp_path):
     assert begin_with(None) is None
-    assert isinstance(begin_with(whole), Known)
+    assert isinstance(begin_with(whole), KnownMap)
     for how in ({"frozen": True}, {"hint": [1.0, 2.0]}):
         with pytest.raises(ConfigError, match="give one to localise in"):
             begin_with(None, **how)

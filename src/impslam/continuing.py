@@ -25,7 +25,7 @@ from impslam.observers.base import Outcome
 from impslam.types import Array
 
 
-class Known(NamedTuple):
+class KnownMap(NamedTuple):
     """A map that a run continues.
 
     Attributes
@@ -57,7 +57,7 @@ _ROWS = (
 class Continuation:
     """Cuts tracks down to their new part, and continues the keyframe ids of the map."""
 
-    def __init__(self, known: Known | None = None) -> None:
+    def __init__(self, known: KnownMap | None = None) -> None:
         self._next_id = 0 if known is None else len(known.map.keyframes)
         self._id_shift: int | None = None if self._next_id else 0
         self._stamps, self._odometry = np.empty(0), np.empty((0, 3))  # scans of that log in the map
@@ -252,7 +252,7 @@ def _is_log(value: object) -> bool:
 
 def begin_with(
     known: Map | str | Path | None, *, frozen: bool = False, hint: Sequence[float] | None = None
-) -> Known | None:
+) -> KnownMap | None:
     """Return the map that a run continues, from a user's arguments; None without one.
 
     Raises
@@ -277,7 +277,7 @@ def begin_with(
         known = load_map(Path(known))
     if frozen and len(known.keyframes) == 0:
         raise ConfigError("the map has no keyframes; nothing can be localised in it")
-    return Known(known, frozen, place)
+    return KnownMap(known, frozen, place)
 
 
 def _place(hint: Sequence[float]) -> Array:

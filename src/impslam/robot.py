@@ -18,7 +18,7 @@ import numpy as np
 from impslam.columns import Batch, Columns, Motions, Sweeps
 from impslam.noise import SystematicErrors
 from impslam.odometry.base import Odometry, diagonal
-from impslam.odometry.clocks import BY_ORDER, Placed
+from impslam.odometry.clocks import BY_ORDER, PlacedRows
 from impslam.odometry.gyro import GyroFusion
 from impslam.odometry.holding import Holding
 from impslam.odometry.pending import PendingQueue, PendingRows
@@ -158,7 +158,7 @@ class Robot:
     # ------------------------------------------------------------------ steps
 
     def _motions(
-        self, odometry: list[Columns], placed: Mapping[str, Placed]
+        self, odometry: list[Columns], placed: Mapping[str, PlacedRows]
     ) -> tuple[Ints, Motions]:
         """Return (m,) positions of the odometry rows in the log, and their motions."""
         if not odometry:
@@ -174,7 +174,7 @@ class Robot:
         return rows.order, motions._replace(stamps=stamps)
 
     def _corrected(
-        self, order: Ints, motions: Motions, turns: Columns | None, placed: Mapping[str, Placed]
+        self, order: Ints, motions: Motions, turns: Columns | None, placed: Mapping[str, PlacedRows]
     ) -> Motions:
         """Return the motions with turns corrected by the gyro; record wheel slip."""
         stamps = np.empty(0) if turns is None else placed[turns.stream].times
@@ -190,7 +190,7 @@ class Robot:
             self._faults.append((int(order[-1]), "wheel slip", text, 1))
         return motions
 
-    def _pending_rows(self, name: str, columns: Columns, placed: Placed) -> PendingRows:
+    def _pending_rows(self, name: str, columns: Columns, placed: PlacedRows) -> PendingRows:
         """Return the rows of a sensor for the queue; record the unusable ones as faults."""
         sensor, shift = self.sensors[name], placed.shifts
         spans, by_order = sensor.spans(columns), placed.by_order
@@ -240,7 +240,7 @@ class Robot:
         self._faults.clear()
 
 
-def _in_order(used: list[Columns], placed: Mapping[str, Placed]) -> tuple[Ints, Array]:
+def _in_order(used: list[Columns], placed: Mapping[str, PlacedRows]) -> tuple[Ints, Array]:
     """Return the positions in the log (r,) of all rows, in order, and their times (r,) s."""
     order = np.concatenate([np.empty(0, np.int64), *(columns.order for columns in used)])
     times = np.concatenate([np.empty(0), *(placed[columns.stream].times for columns in used)])

@@ -21,7 +21,7 @@ import numpy as np
 from impslam.bookkeeping import Stopwatch, about, dropped, seal
 from impslam.columns import Batch, Motions, Sweeps, batches
 from impslam.config import Config
-from impslam.continuing import Continuation, Known, begin_with
+from impslam.continuing import Continuation, KnownMap, begin_with
 from impslam.diagnosis.diagnose import first_health
 from impslam.diagnosis.odometry_watch import OdometryWatch
 from impslam.errors import SourceError, in_a_line
@@ -107,7 +107,7 @@ def map_log(
     source: Source,
     observers: Iterable[Observer] = (),
     progress: Progress | None = None,
-    begin: Known | None = None,
+    begin: KnownMap | None = None,
     health: Standing = SOUND,
 ) -> Map:
     """Map the log of a source; see `run`. `health` is the initial health, which applies to all poses."""
@@ -133,7 +133,7 @@ class Run:
         self,
         config: Config,
         observers: Iterable[Observer] = (),
-        begin: Known | None = None,
+        begin: KnownMap | None = None,
         health: Standing = SOUND,
     ) -> None:
         self.config, self._health = config, HealthMonitor(health)

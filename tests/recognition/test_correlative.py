@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from impslam.geometry.angles import wrap
 from impslam.recognition.correlative import HEADING_SEPARATION, SEPARATION, Window, search
-from impslam.recognition.pyramid import BLUR, CELL, SECTOR, Memory, build
+from impslam.recognition.pyramid import BLUR, CELL, SECTOR, GridMemory, build
 
 STEP = 0.1  # rad: coarse, for every pose is tried
 
@@ -140,7 +140,7 @@ def test_all_around(rng):
 
 
 def test_memory_is_used_again_and_leaves_no_trace(rng):
-    memory = Memory()
+    memory = GridMemory()
     first = build(points_of(rng, 50, 4.0), 4, memory).levels
     points = points_of(rng, 20, 1.0)
     again = build(points, 3, memory).levels

@@ -20,7 +20,7 @@ from impslam.health import ELSEWHERE, UNEXPLAINED
 from impslam.surfaces.surface_map import Alignment, add, align, empty_surface_map, no_evidence
 from impslam.tracking.hypotheses import (
     MAX_VELOCITY_CHANGE,
-    Prediction,
+    PosePrediction,
     align_from_predictions,
     chi2_of,
     cost,
@@ -33,7 +33,7 @@ SIGMAS = np.array([0.01, 0.01, 0.005])
 
 
 def prediction(pose=(0.0, 0.0, 0.0), extrapolated=(0.0, 0.0, 0.0)):
-    return Prediction(np.array(pose), SIGMAS**-2, np.zeros(3), np.array(extrapolated), 0.8)
+    return PosePrediction(np.array(pose), SIGMAS**-2, np.zeros(3), np.array(extrapolated), 0.8)
 
 
 def evidence(inliers):

@@ -20,7 +20,7 @@ from impslam.building.groups import (
     include,
     local,
 )
-from impslam.building.sightings import Placed, add_relief
+from impslam.building.sightings import PlacedSightings, add_relief
 from impslam.geometry.kernels import kernel
 from impslam.types import Array, Ints, Mask
 
@@ -80,7 +80,9 @@ def _join(groups: Array, extra: Array, parents: Ints, rules: Rules) -> bool:
 
 
 @kernel
-def associate(placed: Placed, keyframes: Ints, labels: Ints, extra: Array, rules: Rules) -> Ints:
+def associate(
+    placed: PlacedSightings, keyframes: Ints, labels: Ints, extra: Array, rules: Rules
+) -> Ints:
     """Return the group (n,) of each sighting: the row of the group's first sighting.
 
     `extra` (n, 3) is the covariance that the keyframes of the group add. Sightings with the same label are

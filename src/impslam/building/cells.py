@@ -12,7 +12,7 @@ import numpy as np
 
 from impslam.building.fusion import Fused
 from impslam.building.groups import local
-from impslam.building.sightings import Placed
+from impslam.building.sightings import PlacedSightings
 from impslam.geometry.kernels import kernel
 from impslam.types import Array, Ints
 
@@ -53,7 +53,9 @@ def _middle(extent: Array, cell: int, count: int) -> float:
 
 
 @kernel
-def count_covering(placed: Placed, index: Ints, fused: Fused, starts: Ints, is_line: bool) -> Ints:
+def count_covering(
+    placed: PlacedSightings, index: Ints, fused: Fused, starts: Ints, is_line: bool
+) -> Ints:
     """Return the number (p,) of sightings that cover the middle of each cell."""
     out, value, cov = np.zeros(starts[-1], np.int64), np.empty(2), np.empty(3)
     for i in range(len(index)):
@@ -96,7 +98,7 @@ def stretches(fused: Fused, starts: Ints, free: Ints) -> tuple[Array, Ints]:
 
 @kernel
 def divide(
-    placed: Placed, index: Ints, fused: Fused, runs: Array, begin: Ints, is_line: bool
+    placed: PlacedSightings, index: Ints, fused: Fused, runs: Array, begin: Ints, is_line: bool
 ) -> Ints:
     """Return the stretch (n,) with the largest overlap with each sighting, -1 for none.
 

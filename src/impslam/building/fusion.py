@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from impslam.building.groups import local
-from impslam.building.sightings import Placed
+from impslam.building.sightings import PlacedSightings
 from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.kernels import kernel
 from impslam.types import Array, Ints
@@ -51,7 +51,7 @@ def _inverse(matrix: Array, out: Array) -> None:
 
 
 @kernel
-def _step(placed: Placed, index: Ints, is_line: bool, states: Array, sums: Array) -> None:
+def _step(placed: PlacedSightings, index: Ints, is_line: bool, states: Array, sums: Array) -> None:
     """Move states (L, 3) by a Gauss-Newton step, and write their covariances (L, 3) to sums."""
     value, cov, info = np.empty(2), np.empty(3), np.empty(3)
     right = np.zeros((len(states), 2))
@@ -77,7 +77,7 @@ def _step(placed: Placed, index: Ints, is_line: bool, states: Array, sums: Array
 
 
 @kernel
-def _extents(placed: Placed, index: Ints, is_line: bool, states: Array) -> Array:
+def _extents(placed: PlacedSightings, index: Ints, is_line: bool, states: Array) -> Array:
     """Move the frames (L, 3) of lines to their middles, and return the extents (L, 2)."""
     out = np.zeros((len(states), 2))
     out[:, 0], out[:, 1] = np.inf, -np.inf
@@ -97,7 +97,12 @@ def _extents(placed: Placed, index: Ints, is_line: bool, states: Array) -> Array
 
 @kernel
 def _shares(
-    placed: Placed, index: Ints, is_line: bool, fused: Fused, covariances: Array, shares: Array
+    placed: PlacedSightings,
+    index: Ints,
+    is_line: bool,
+    fused: Fused,
+    covariances: Array,
+    shares: Array,
 ) -> None:
     """Write the distinct entries of cov(W_i e_i) of each sighting to shares (n, 3)."""
     value, cov, info = np.empty(2), np.empty(3), np.empty(3)
@@ -120,7 +125,7 @@ def _shares(
 
 
 @kernel
-def fuse(placed: Placed, index: Ints, first: Ints, is_line: bool) -> Fused:
+def fuse(placed: PlacedSightings, index: Ints, first: Ints, is_line: bool) -> Fused:
     """Return the landmarks of sightings; see the module.
 
     `index` (n,) is the landmark of each sighting and `first` (L,) the first sighting of each.

@@ -17,7 +17,7 @@ from impslam.building.cells import cell_centres, cell_starts, count_covering, di
 from impslam.building.free_space import Profile, profile, seen_through
 from impslam.building.fusion import Fused, fuse
 from impslam.building.groups import Rules
-from impslam.building.sightings import Placed, Sightings, SightingsLog, transform_to_map
+from impslam.building.sightings import PlacedSightings, Sightings, SightingsLog, transform_to_map
 from impslam.errors import ConfigError
 from impslam.landmarks.base import LandmarkModel
 from impslam.maps.grid import PlacedScans
@@ -118,7 +118,11 @@ class _Members(NamedTuple):
 
 
 def _members(
-    placed: Placed, sightings: Sightings, free: Profile | None, criteria: Criteria, is_line: bool
+    placed: PlacedSightings,
+    sightings: Sightings,
+    free: Profile | None,
+    criteria: Criteria,
+    is_line: bool,
 ) -> _Members:
     """Return the confirmed landmarks of all sightings of a kind."""
     keyframes, labels = sightings.keyframes, sightings.labels
@@ -140,12 +144,17 @@ def _members(
     return _confirmed(kept, rows, run, keyframes[rows], criteria, is_line)
 
 
-def _take(placed: Placed, rows: Ints) -> Placed:
-    return Placed(*(column[rows] for column in placed))
+def _take(placed: PlacedSightings, rows: Ints) -> PlacedSightings:
+    return PlacedSightings(*(column[rows] for column in placed))
 
 
 def _confirmed(
-    placed: Placed, rows: Ints, group: Ints, keyframes: Ints, criteria: Criteria, is_line: bool
+    placed: PlacedSightings,
+    rows: Ints,
+    group: Ints,
+    keyframes: Ints,
+    criteria: Criteria,
+    is_line: bool,
 ) -> _Members:
     """Return the landmarks of groups (n,) with enough keyframes; -1 means no group."""
     each = int(keyframes.max(initial=0)) + 1

@@ -41,7 +41,7 @@ class Sightings(NamedTuple):
     labels: Ints
 
 
-class Placed(NamedTuple):
+class PlacedSightings(NamedTuple):
     """n sightings in map.
 
     Attributes
@@ -183,7 +183,7 @@ def add_relief(cov: Array, length: float, relief: float) -> None:
 @kernel
 def transform_to_map(
     sightings: Sightings, poses: Array, covariances: Array, limits: Array, is_line: bool
-) -> Placed:
+) -> PlacedSightings:
     """Return sightings in map, given poses (k, 3) and covariances (k, 3, 3) of the keyframes.
 
     `limits` (3,) m, rad and m are the maximum standard deviations between keyframes of one place (common
@@ -207,4 +207,4 @@ def transform_to_map(
         _add_propagated(by_pose, P_relative, relative[i])
         add_relief(relative[i], 2.0 * frames[i, 3], limits[2])
         _add_propagated(by_pose, P, whole[i])
-    return Placed(frames, relative, whole)
+    return PlacedSightings(frames, relative, whole)

@@ -11,7 +11,7 @@ from impslam.cli.exports import Exports
 from impslam.cli.interruption import Interruption
 from impslam.cli.progress import display
 from impslam.config import Config
-from impslam.continuing import Known
+from impslam.continuing import KnownMap
 from impslam.errors import ConfigError
 from impslam.evaluation.landmark_files import read_surveyed
 from impslam.health import SOUND, Standing
@@ -64,7 +64,7 @@ def execute(  # noqa: PLR0913  # all parts of a run
     more: Iterable[Observer] = (),
     true_landmarks: Sequence[TrueLandmark] = (),
     player: Callable[[Config, Source, list[Observer], Standing], Map] | None = None,
-    known_map: Known | None = None,
+    known_map: KnownMap | None = None,
     exports: Exports | None = None,
     health: Standing = SOUND,
     interruption: Interruption | None = None,

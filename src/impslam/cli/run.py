@@ -31,7 +31,7 @@ from impslam.errors import ConfigError
 
 if TYPE_CHECKING:
     from impslam.config import Config
-    from impslam.continuing import Known
+    from impslam.continuing import KnownMap
     from impslam.health import Standing
     from impslam.map import Map
     from impslam.observers.base import Outcome
@@ -75,7 +75,7 @@ class ContinuationOptions:
     frozen: Flag = False
     start: str | None = None
 
-    def known(self, *, live: bool, outputs: Sequence[Path]) -> Known | None:
+    def known(self, *, live: bool, outputs: Sequence[Path]) -> KnownMap | None:
         """Return the map to continue, or None.
 
         Raises

@@ -21,7 +21,7 @@ MAX_SIGMAS = 5.0
 _BASE = np.zeros(3)
 
 
-class Cloud(NamedTuple):
+class ParticlePoses(NamedTuple):
     """The particles' poses (P, 3), and roots (P, 3, 3) of their covariances.
 
     `best` is the index of the likeliest particle.
@@ -93,7 +93,7 @@ def by_kind(
     ]
 
 
-class Choice(NamedTuple):
+class ParticleAssociations(NamedTuple):
     """The associations of all particles.
 
     Attributes
@@ -112,9 +112,9 @@ class Choice(NamedTuple):
 def associate(
     observations: tuple[Observation, ...],
     seen: Sequence[KindObservations],
-    cloud: Cloud,
+    cloud: ParticlePoses,
     association: Association,
-) -> Choice:
+) -> ParticleAssociations:
     """Associate the observations for every particle.
 
     This is one call of the association, with distinct ids for each particle's landmarks and observations.
@@ -147,7 +147,7 @@ def associate(
                 best.append(match._replace(observation=int(which[mine[n]]), landmark=number))
     best.sort(key=attrgetter("observation"))
     shape = count, observed
-    return Choice(pairs, matched.reshape(shape), new.reshape(shape), tuple(best))
+    return ParticleAssociations(pairs, matched.reshape(shape), new.reshape(shape), tuple(best))
 
 
 def _joint(*_: object) -> tuple[Array, Array]:
@@ -155,7 +155,7 @@ def _joint(*_: object) -> tuple[Array, Array]:
 
 
 def _hypotheses(
-    kind: KindObservations, cloud: Cloud, observed: int, stride: int, gate: float
+    kind: KindObservations, cloud: ParticlePoses, observed: int, stride: int, gate: float
 ) -> Hypotheses:
     """Return the pairings of all particles inside the gate."""
     table, model, count = kind.table, kind.table.model, len(cloud.poses)
@@ -198,7 +198,7 @@ def _hypotheses(
     )
 
 
-def _near(kind: KindObservations, cloud: Cloud) -> Ints:
+def _near(kind: KindObservations, cloud: ParticlePoses) -> Ints:
     """Return the landmarks (k,) that any particle may have observed."""
     table, pose = kind.table, cloud.poses[cloud.best]
     rows = table.rows[cloud.best]
@@ -213,7 +213,7 @@ def _near(kind: KindObservations, cloud: Cloud) -> Ints:
     return np.flatnonzero((distance < seen + MAX_GAP + MAX_SIGMAS * sigma) | (rows < 0))
 
 
-def _possible(kind: KindObservations, cloud: Cloud, near: Ints) -> Mask:
+def _possible(kind: KindObservations, cloud: ParticlePoses, near: Ints) -> Mask:
     """Return which pairs (a, k) the extents allow, within 2 sigma, for the likeliest particle."""
     table, model, observed = kind.table, kind.table.model, len(kind.z)
     out = np.ones((observed, len(near)), np.bool_)

@@ -34,7 +34,12 @@ from impslam.component import parameter, register
 from impslam.errors import ConfigError, NumericalError
 from impslam.estimators.base import MIN_SIGMA, Estimator, check_keyframe, is_finite
 from impslam.estimators.blur import blurred
-from impslam.estimators.particle_association import Cloud, ParticleMatches, associate, by_kind
+from impslam.estimators.particle_association import (
+    ParticleMatches,
+    ParticlePoses,
+    associate,
+    by_kind,
+)
 from impslam.estimators.particle_kernels import add_information, axes, correct, systematic
 from impslam.estimators.particle_landmarks import LandmarkTable
 from impslam.estimators.sampling import moved, normalised
@@ -150,15 +155,17 @@ class Particles(Estimator):
         self._resample(weights, set(gone))
         return revision
 
-    def _predicted(self, motion: Increment) -> Cloud:
+    def _predicted(self, motion: Increment) -> ParticlePoses:
         """Return the poses after a motion: sampled (version 1), or with their uncertainty."""
         poses = compose(self._poses, motion.d_pose)
         roots = axes(self._poses, root(motion.covariance))
         if self.version == 1:
             poses, roots = moved(poses, roots, self._normals()), np.zeros_like(roots)
-        return Cloud(poses, roots, int(np.argmax(self._log_weights)))
+        return ParticlePoses(poses, roots, int(np.argmax(self._log_weights)))
 
-    def _sample(self, pairs: Sequence[ParticleMatches], cloud: Cloud) -> tuple[Array, Array]:
+    def _sample(
+        self, pairs: Sequence[ParticleMatches], cloud: ParticlePoses
+    ) -> tuple[Array, Array]:
         """Return poses (P, 3) sampled by motion and matches, and -2 log likelihood (P,) of the matches.
 
         Raises

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from impslam.extractors.line_splitting import MIN_PIECE, split, variance_across
-from impslam.extractors.segmentation import Cloud
+from impslam.extractors.segmentation import SegmentedScan
 from impslam.geometry.kernels import kernel
 from impslam.geometry.lines import fit_line_core
 from impslam.types import Array, Ints
@@ -49,7 +49,7 @@ class Segments(NamedTuple):
         return beams
 
 
-def find_segments(cloud: Cloud, flatness: float, gap: float) -> Segments:
+def find_segments(cloud: SegmentedScan, flatness: float, gap: float) -> Segments:
     """Return all straight pieces of at least four points.
 
     Parameters

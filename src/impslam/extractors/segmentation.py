@@ -23,7 +23,7 @@ _NOISE = 3.0  # standard deviations
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Cloud:
+class SegmentedScan:
     """Valid points of a scan in beam order, cut into segments.
 
     Attributes
@@ -96,7 +96,7 @@ def _build_cloud(
     spacing: float,
     grazing: float,
 ) -> tuple[Ints, Array, Array, Array, Array, Ints]:
-    """Return the fields of a `Cloud`; columns are angles, directions, ranges and sigmas (n,)."""
+    """Return the fields of a `SegmentedScan`; columns are angles, directions, ranges and sigmas (n,)."""
     angles, directions, ranges, sigmas = columns
     index = np.flatnonzero(valid)
     starts = np.array([0, len(index)])
@@ -120,7 +120,7 @@ def beam_spacing(scan: Scan) -> float:
     return abs(float(scan.angles[-1] - scan.angles[0])) / (n - 1) if n > 1 else 0.0
 
 
-def segment(scan: Scan, grazing: float = WALL_INCIDENCE) -> Cloud:
+def segment(scan: Scan, grazing: float = WALL_INCIDENCE) -> SegmentedScan:
     """Return the valid points of a scan, split at gaps that no surface at incidence `grazing` explains.
 
     Computed once for all extractors of the scan.
@@ -128,8 +128,8 @@ def segment(scan: Scan, grazing: float = WALL_INCIDENCE) -> Cloud:
     return scan.derive(_segment, grazing)
 
 
-def _segment(scan: Scan, grazing: float) -> Cloud:
-    return Cloud(
+def _segment(scan: Scan, grazing: float) -> SegmentedScan:
+    return SegmentedScan(
         *_build_cloud(
             (scan.angles, scan.directions, scan.ranges, scan.sigmas),
             scan.points,

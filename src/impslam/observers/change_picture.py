@@ -11,7 +11,7 @@ from impslam.evaluation.colours import INK, PATH, WALL
 from impslam.maps.changes import Change, Changes
 from impslam.maps.files import MapImage
 from impslam.observers.canvas import Canvas, png
-from impslam.observers.map_frame import SQUARE, Frame, Key
+from impslam.observers.map_axes import SQUARE, Key, MapAxes
 from impslam.observers.map_picture import LABEL_SIZE, MAX_LABELS, SIZE, draw_grid
 
 GONE, NEW = PATH, WALL
@@ -29,7 +29,7 @@ def changes_png(image: MapImage, found: Changes) -> bytes:
     bounds = x0 - margin, x1 + margin, y0 - margin, y1 + margin
     canvas = Canvas(bounds, SIZE, colours.UNSEEN)
     keys = [Key("gone", GONE, outline=9.0 * SQUARE), Key("new", NEW, outline=9.0 * SQUARE)]
-    frame = Frame(canvas, bounds, keys)
+    frame = MapAxes(canvas, bounds, keys)
     draw_grid(canvas, image)
     frame.draw_lines()
     for pieces, code in ((found.gone, GONE), (found.new, NEW)):

@@ -12,7 +12,7 @@ from impslam.evaluation.colours import INK, ODOMETRY, PATH, POINT, SIGMAS, TRUTH
 from impslam.map import Map
 from impslam.maps.files import FREE, OCCUPIED, MapImage
 from impslam.observers.canvas import Canvas, Picture, colour, png
-from impslam.observers.map_frame import CIRCLE, SQUARE, Frame, Key
+from impslam.observers.map_axes import CIRCLE, SQUARE, Key, MapAxes
 from impslam.types import Array, Landmark
 
 SIZE = 1440
@@ -48,7 +48,7 @@ def map_png(scene: PictureContent) -> bytes:
     """Return the map with paths and landmarks as a PNG."""
     left, right, bottom, top = box = bounds(scene)
     canvas = Canvas(box, SIZE, colours.UNSEEN)
-    frame = Frame(canvas, box, _keys(scene))
+    frame = MapAxes(canvas, box, _keys(scene))
     draw_grid(canvas, scene.image)
     frame.draw_lines()
     thickness = float(np.clip(15.0 / max(right - left, top - bottom), 0.5, 1.0))

@@ -11,7 +11,7 @@ from impslam.evaluation import colours
 from impslam.evaluation.colours import ODOMETRY, TRUTH
 from impslam.maps.files import MapImage
 from impslam.observers.canvas import Canvas, png
-from impslam.observers.map_frame import CIRCLE, Frame, Key
+from impslam.observers.map_axes import CIRCLE, Key, MapAxes
 from impslam.observers.map_picture import SIZE, draw_grid
 from impslam.recognition.relocalisation import Answer, Verdict
 from impslam.types import Array
@@ -48,7 +48,7 @@ def places_png(image: MapImage, places: Iterable[Place]) -> bytes:
         Key(f"found ({len(groups[1][1])})", FOUND, outline=6.0 * CIRCLE),
         Key(f"ambiguous ({len(groups[0][1])}), best hypothesis", AMBIGUOUS, outline=6.0 * CIRCLE),
     ]
-    frame = Frame(canvas, bounds, keys)
+    frame = MapAxes(canvas, bounds, keys)
     draw_grid(canvas, image)
     frame.draw_lines()
     for code, poses in groups:

@@ -88,7 +88,7 @@ class Step(NamedTuple):
         return f"stepped {how} at {self.stamp:.3f} s"
 
 
-class Placed(NamedTuple):
+class PlacedRows(NamedTuple):
     """Times of m rows.
 
     Attributes
@@ -102,9 +102,9 @@ class Placed(NamedTuple):
     times: Array
     how: Ints
 
-    def take(self, rows: slice | Ints) -> Placed:
+    def take(self, rows: slice | Ints) -> PlacedRows:
         """Return some of the rows."""
-        return Placed(self.shifts[rows], self.times[rows], self.how[rows])
+        return PlacedRows(self.shifts[rows], self.times[rows], self.how[rows])
 
     @property
     def by_order(self) -> Mask:
@@ -129,7 +129,9 @@ class Clocks:
             return float("nan")
         return float(now - first - excess)
 
-    def place(self, streams: Ints, stamps: Array, odometry: int = -1) -> tuple[Placed, list[Step]]:
+    def place(
+        self, streams: Ints, stamps: Array, odometry: int = -1
+    ) -> tuple[PlacedRows, list[Step]]:
         """Return the times of rows in the order of the log, and the detected steps.
 
         `stamps` (m,) are in s; `streams` (m,) numbers the streams from 0 in order of appearance. Where
@@ -138,7 +140,10 @@ class Clocks:
         m, known = len(stamps), len(self._streams)
         new = max(int(streams.max(initial=-1)) + 1 - known, 0)
         self._streams = np.vstack((self._streams, np.zeros((new, 14))))
-        placed, steps = Placed(np.empty(m), np.empty(m), np.empty(m, np.int64)), np.empty((m, 4))
+        placed, steps = (
+            PlacedRows(np.empty(m), np.empty(m), np.empty(m, np.int64)),
+            np.empty((m, 4)),
+        )
         state = self._streams, self._all
         count = _place(state, known, odometry, streams, stamps, placed, steps)
         return placed, [Step(int(k), int(s), float(by), float(t)) for k, s, by, t in steps[:count]]
@@ -151,7 +156,7 @@ def _place(
     odometry: int,
     streams: Ints,
     stamps: Array,
-    placed: Placed,
+    placed: PlacedRows,
     steps: Array,
 ) -> int:
     """Write the place of each row, and the steps; return the number of steps."""
@@ -183,7 +188,7 @@ def _place(
 
 @kernel
 def _write(
-    table: Array, shared: Array, stream_index: int, odometry: int, placed: Placed, k: int
+    table: Array, shared: Array, stream_index: int, odometry: int, placed: PlacedRows, k: int
 ) -> None:
     """Write the place of row k, the newest one of its stream."""
     stream = table[stream_index]

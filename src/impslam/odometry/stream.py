@@ -9,7 +9,7 @@ import numpy as np
 from impslam.columns import Columns, Motions, join
 from impslam.noise import MAX_GAP
 from impslam.odometry.base import Odometry
-from impslam.odometry.clocks import BY_ORDER, CLOCK_SET, Placed
+from impslam.odometry.clocks import BY_ORDER, CLOCK_SET, PlacedRows
 from impslam.odometry.standstill import Standstill
 from impslam.types import Array, Ints, Mask
 
@@ -41,7 +41,7 @@ class OdometryStream:
         self._last_time = _NO_TIME
         self._standstill = Standstill(odometry.standstill_band)
 
-    def motions(self, rows: Columns, placed: Placed | None = None) -> StreamMotions:
+    def motions(self, rows: Columns, placed: PlacedRows | None = None) -> StreamMotions:
         """Return the motions of the next rows of the stream, placed at their stamps by default."""
         times = (rows.stamps, np.zeros(len(rows), np.int64)) if placed is None else placed[1:]
         rows = self._odometry.readings(rows)

@@ -8,7 +8,7 @@ from typing import TypeAlias
 import numpy as np
 
 from impslam.columns import Columns
-from impslam.odometry.clocks import BY_ORDER, Clocks, Placed
+from impslam.odometry.clocks import BY_ORDER, Clocks, PlacedRows
 
 STEP, UNUSABLE = "clock step", "unusable stamp"
 """Kinds of problem: a clock that was set, and a row whose stamp is not used."""
@@ -28,7 +28,9 @@ class StreamClocks:
         """Time since the first row, s on the common time line; NaN if few stamps are usable."""
         return self._clocks.elapsed
 
-    def place(self, used: Sequence[Columns], odometry: str = "") -> tuple[list[Placed], Reports]:
+    def place(
+        self, used: Sequence[Columns], odometry: str = ""
+    ) -> tuple[list[PlacedRows], Reports]:
         """Return the times of the rows of each of the columns, and what was found in their stamps.
 
         `odometry` is the stream whose order the others follow; see `Clocks.place`.
@@ -61,7 +63,7 @@ class StreamClocks:
         return each, reports
 
 
-def _unusable(columns: Columns, placed: Placed) -> Reports:
+def _unusable(columns: Columns, placed: PlacedRows) -> Reports:
     """Report the rows whose own stamps are not used, if there are any."""
     wrong = placed.how == BY_ORDER
     if not wrong.any():

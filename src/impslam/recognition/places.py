@@ -18,7 +18,7 @@ import numpy as np
 from impslam.geometry.angles import wrap
 from impslam.geometry.kernels import plain
 from impslam.recognition.correlative import HEADING_STEP, Window, search, start_level
-from impslam.recognition.pyramid import Memory, Pyramid, build
+from impslam.recognition.pyramid import GridMemory, Pyramid, build
 from impslam.recognition.submap import Submap
 from impslam.recognition.verify import (
     MIN_MATCHED,
@@ -121,7 +121,7 @@ class Recogniser:
         self._overlap = overlap
         self.counts = dict.fromkeys(OUTCOMES, 0)
         self.outcome = ""
-        self._memory, self._known = Memory(), empty_surface_map(40.0, 40.0, 20000)
+        self._memory, self._known = GridMemory(), empty_surface_map(40.0, 40.0, 20000)
         self._reference: Submap | None = None
         self._pyramid: Pyramid | None = None
 

@@ -43,7 +43,7 @@ class Pyramid(NamedTuple):
     corner: Array
 
 
-class Memory:
+class GridMemory:
     """Memory that is reused for each grid: a grid is valid until the next one is made."""
 
     def __init__(self) -> None:
@@ -57,13 +57,13 @@ class Memory:
         return self._bytes[:size].reshape(shape)
 
 
-def build(points: Features, level: int, memory: Memory | None = None) -> Pyramid:
+def build(points: Features, level: int, memory: GridMemory | None = None) -> Pyramid:
     """Return the pyramid of features (n, 5), n >= 1, up to a level."""
     low, high = points[:, :2].min(0).astype(float), points[:, :2].max(0).astype(float)
     below = 2 + (1 << level)  # cells: radius of the Gaussian, and blocks that begin outside
     corner = (np.floor(low / CELL) - below) * CELL
     width, height = (np.floor((high - corner) / CELL) + 4).astype(int)
-    grids = (memory or Memory()).take(level + 1 + DIRECTIONS, height, width)
+    grids = (memory or GridMemory()).take(level + 1 + DIRECTIONS, height, width)
     _fill(grids[: level + 1], grids[level + 1 :], corner, points)
     return Pyramid(grids[: level + 1], grids[level + 1 :], corner)
 

@@ -54,7 +54,7 @@ class Verdict(Enum):
     NOWHERE = "nowhere"
 
 
-class Hypothesis(NamedTuple):
+class PlaceHypothesis(NamedTuple):
     """A possible place.
 
     Attributes
@@ -79,7 +79,7 @@ class Answer(NamedTuple):
     """
 
     verdict: Verdict
-    hypotheses: tuple[Hypothesis, ...]
+    hypotheses: tuple[PlaceHypothesis, ...]
 
 
 class Near(NamedTuple):
@@ -221,7 +221,7 @@ def answer(
     weights = np.exp(EVIDENCE * (scores - scores.max()))
     odds = weights / weights.sum()
     hypotheses = tuple(
-        Hypothesis(pose, e.score, float(share))
+        PlaceHypothesis(pose, e.score, float(share))
         for (e, pose), share in zip(explained, odds[1:], strict=True)
     )
     verdict = Verdict.AMBIGUOUS

@@ -16,7 +16,7 @@ import numpy as np
 
 from impslam.component import parameter
 from impslam.geometry.kernels import kernel
-from impslam.simulation.robot import Device
+from impslam.simulation.robot import SimulatedDevice
 from impslam.types import Array
 
 X, Y, HEADING, DISTANCE, SPEED, TURN_RATE, LEFT, RIGHT = range(8)  # of the state (8,)
@@ -25,7 +25,7 @@ LOST_SHARE, TURNING, STUCK, WHEEL_ANGLE = 0, 1, 2, 4
 _CONTACT_GAP = 1e-9  # m between the outline and a touched obstacle, above rounding errors
 
 
-class Drivetrain(Device):
+class Drivetrain(SimulatedDevice):
     """Four driven wheels, two per side, with one commanded surface speed per side.
 
     The force is that of four motors at their rated 7.3 kgf cm (0.72 N m, thesis 3.2) on 5 in wheels:

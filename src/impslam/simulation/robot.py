@@ -15,11 +15,11 @@ from impslam.simulation.world import Span
 _STEP = 2 * math.pi / 1024  # rad, angular step of the URG-04LX
 
 
-class Device(Parameters):
+class SimulatedDevice(Parameters):
     """A part of the simulated robot."""
 
 
-class WheelEncoders(Device):
+class WheelEncoders(SimulatedDevice):
     """Two absolute magnetic encoders (MA3) on passive wheels, read as accumulated angles in rad.
 
     The faults: rotation lost in turns, when four driven wheels skid and drag the passive ones sideways;
@@ -62,7 +62,7 @@ class WheelEncoders(Device):
         return cls(**{**dict.fromkeys(faults, 0), **other})
 
 
-class Lidar(Device):
+class Lidar(SimulatedDevice):
     """Hokuyo URG-04LX: 682 beams of 1024 steps per turn, counter-clockwise, 10 Hz.
 
     The data sheet's +-10 mm (up to 1 m) and 1 % (up to 4 m) are accuracy, mostly an error that all beams
@@ -101,7 +101,7 @@ class Lidar(Device):
         return cls(**{**dict.fromkeys(faults, 0), "grazing": math.pi, **other})
 
 
-class InertialUnit(Device):
+class InertialUnit(SimulatedDevice):
     """A MEMS gyro and accelerometer at base_link, each averaged over its sampling period."""
 
     rate: float = parameter(100.0, "Hz", "sampling rate", gt=0.0)
@@ -118,7 +118,7 @@ class InertialUnit(Device):
         return cls(**{**dict.fromkeys(faults, 0), **other})
 
 
-class OnboardCamera(Device):
+class OnboardCamera(SimulatedDevice):
     """The camera on the robot (thesis 3.3.1: 5 MP, 72 deg by 30 deg, logged at 5 Hz).
 
     The default has the same field of view with fewer pixels: 5 MP are width = 3648 and height = 1368.
@@ -133,7 +133,7 @@ class OnboardCamera(Device):
     quality: int = parameter(85, "1", "JPEG quality", ge=1, le=100)
 
 
-class OverheadCamera(Device):
+class OverheadCamera(SimulatedDevice):
     """A camera under the ceiling that films the run: the ground truth of the thesis (5.2)."""
 
     width: int = parameter(1920, "px", "width of the picture", ge=64, le=7680)
@@ -156,7 +156,7 @@ class OverheadCamera(Device):
     )
 
 
-class SimulatedRobot(Device):
+class SimulatedRobot(SimulatedDevice):
     """The robot of the thesis; None removes a device."""
 
     encoders: WheelEncoders | None = WheelEncoders()

@@ -44,7 +44,7 @@ SEARCH_PRIOR_WEIGHT = 0.1
 """Weight of the prior while other poses are searched, relative to a match."""
 
 
-class Prediction(NamedTuple):
+class PosePrediction(NamedTuple):
     """Predicted poses (3,) of a scan before matching, in the frame of the map.
 
     Attributes
@@ -64,7 +64,7 @@ class Prediction(NamedTuple):
 
 
 @kernel
-def chi2_of(pose: Array, predicted: Prediction) -> float:
+def chi2_of(pose: Array, predicted: PosePrediction) -> float:
     """Return the squared Mahalanobis distance of a pose (3,) from odometry."""
     ex, ey = pose[0] - predicted.pose[0], pose[1] - predicted.pose[1]
     et = wrap_in_kernel(pose[2] - predicted.pose[2])
@@ -73,7 +73,7 @@ def chi2_of(pose: Array, predicted: Prediction) -> float:
 
 
 @kernel
-def is_expected(pose: Array, predicted: Prediction) -> bool:
+def is_expected(pose: Array, predicted: PosePrediction) -> bool:
     """Return whether a pose (3,) is near that of odometry, and near the one at constant velocity."""
     if chi2_of(pose, predicted) > MAX_CHI2:
         return False
@@ -85,7 +85,7 @@ def is_expected(pose: Array, predicted: Prediction) -> bool:
 
 
 @kernel
-def is_possible(pose: Array, predicted: Prediction) -> bool:
+def is_possible(pose: Array, predicted: PosePrediction) -> bool:
     """Return whether a pose (3,) is within a slip, and odometry's own error, of one of the predictions."""
     a = predicted.information
     reach = MAX_SLIP[0] + SLIP_SIGMAS / math.sqrt(max(a[0], 1.0 / UNKNOWN))
@@ -98,7 +98,7 @@ def is_possible(pose: Array, predicted: Prediction) -> bool:
 
 
 @kernel
-def cost(pose: Array, predicted: Prediction, match: Alignment, evidence: FitSums) -> float:
+def cost(pose: Array, predicted: PosePrediction, match: Alignment, evidence: FitSums) -> float:
     """Return the negative log probability of a pose, up to a constant; inf if it is not possible.
 
     The part of the points is the Geman-McClure cost that alignment minimises: the squared scale for each
@@ -120,7 +120,7 @@ def cost(pose: Array, predicted: Prediction, match: Alignment, evidence: FitSums
 def align_from_predictions(
     submap: SurfaceMap,
     features: Features,
-    predicted: Prediction,
+    predicted: PosePrediction,
     match: Alignment,
     pose: Array,
     evidence: FitSums,
@@ -155,7 +155,7 @@ def align_from_predictions(
 def search(
     submap: SurfaceMap,
     features: Features,
-    predicted: Prediction,
+    predicted: PosePrediction,
     match: Alignment,
     pose: Array,
     evidence: FitSums,

@@ -105,7 +105,7 @@ class State(NamedTuple):
     lidar: LidarState
 
 
-class Match(NamedTuple):
+class ScanMatch(NamedTuple):
     """The pose that fits a sweep best.
 
     Attributes

@@ -30,7 +30,7 @@ from impslam.tracking.fusion import MAX_COAST, RATE_SIGMA, SPEED_SIGMA, coast, f
 from impslam.tracking.hypotheses import (
     MAX_SLIP,
     SLIP_SIGMAS,
-    Prediction,
+    PosePrediction,
     align_from_predictions,
     chi2_of,
     is_expected,
@@ -50,7 +50,7 @@ from impslam.tracking.match_faults import (
     fits_poorly,
 )
 from impslam.tracking.match_information import add_along, add_drift, information, remove_spurious
-from impslam.tracking.matching_state import Match, Settings, State
+from impslam.tracking.matching_state import ScanMatch, Settings, State
 from impslam.tracking.self_deskewing import deskew, set_twist
 from impslam.tracking.submaps import extend, is_empty, older_map
 from impslam.types import Array
@@ -261,12 +261,12 @@ def _match(
     else:
         state.averages[0] += MEMORY[0] * (share - usual)
         add_fit(state.faults, fit, usual)
-    _move(Match(guess, fit, usual, H, W), k, no_odometry, state, settings, out)
+    _move(ScanMatch(guess, fit, usual, H, W), k, no_odometry, state, settings, out)
 
 
 @kernel
 def _move(
-    match: Match, k: int, no_odometry: bool, state: State, settings: Settings, out: Steps
+    match: ScanMatch, k: int, no_odometry: bool, state: State, settings: Settings, out: Steps
 ) -> None:
     """Update the state with the motion to a match, fused with the prior, and write that motion."""
     located = MAX_LOCATED_SIGMA**-2
@@ -316,7 +316,7 @@ def _contradicts(beams: BeamColumns, k: int, state: State, no_odometry: bool) ->
 
 
 @kernel
-def _learn(state: State, match: Match, located: bool) -> None:
+def _learn(state: State, match: ScanMatch, located: bool) -> None:
     """Learn the bias and noise of odometry from a match."""
     fit, turned = match.fit, bool(match.H[2, 2] * state.prior[1] > 1.0)
     plausible = fit.share > 0.6 and abs(fit.off[2]) < 4.0 * math.sqrt(state.prior[1])
@@ -358,7 +358,7 @@ def _find_pose(features: Features, state: State, settings: Settings, H: Array, W
 
 
 @kernel
-def _predictions(state: State, prior: Array) -> Prediction:
+def _predictions(state: State, prior: Array) -> PosePrediction:
     """Return the predicted poses of a scan; `prior` (3,) is the information of that by odometry."""
     pose, usual = state.pose.copy(), state.averages[0]
     # If odometry was silent while scans determined the position, its whole motion comes at once.
@@ -366,7 +366,7 @@ def _predictions(state: State, prior: Array) -> Prediction:
         not is_gap(state.interval[1], state.intervals, WINDOW) and state.faults.unlocated[0] == 0.0
     )
     if is_gap(state.interval[0], state.intervals, WINDOW) and not seen:
-        return Prediction(pose, prior, pose, pose, usual)
+        return PosePrediction(pose, prior, pose, pose, usual)
     extrapolated = state.matched.copy()
     advance_pose(extrapolated, state.velocity)
-    return Prediction(pose, prior, state.matched, extrapolated, usual)
+    return PosePrediction(pose, prior, state.matched, extrapolated, usual)

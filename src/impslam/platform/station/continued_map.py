@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from impslam.config import Config, load
-from impslam.continuing import Known
+from impslam.continuing import KnownMap
 from impslam.map import Map
 from impslam.open_log import for_continuing
 from impslam.platform.station.map_store import FILE
@@ -18,7 +18,7 @@ class ContinuedMap(NamedTuple):
     """The name of a map, the map that a run begins with, and the config of that run."""
 
     name: str
-    known: Known
+    known: KnownMap
     config: Config
 
     def with_hint(self, x: float, y: float) -> ContinuedMap:
@@ -36,5 +36,5 @@ def load_continued_map(folder: Path, preset: str, *, frozen: bool) -> ContinuedM
     ImpError
         If the map cannot be read.
     """
-    known = Known(Map.load(folder / FILE), frozen)
+    known = KnownMap(Map.load(folder / FILE), frozen)
     return ContinuedMap(folder.name, known, for_continuing(load(preset)))

@@ -19,7 +19,7 @@ from pathlib import Path
 
 from impslam.columns import single_row
 from impslam.config import Config, load
-from impslam.continuing import Known
+from impslam.continuing import KnownMap
 from impslam.observers.summary import config_toml
 from impslam.open_log import for_continuing
 from impslam.run import Run
@@ -61,7 +61,7 @@ def rehearse(config: Config, scans: float = math.inf) -> None:
     known = run.settled()
     known.grid()
     if math.isinf(scans) and for_continuing(config) is config:
-        _drive(Run(config, begin=Known(known, frozen=True)), SCANS_TO_LOCATE)
+        _drive(Run(config, begin=KnownMap(known, frozen=True)), SCANS_TO_LOCATE)
 
 
 def _drive(run: Run, scans: float) -> None:

@@ -32,7 +32,7 @@ class Key(NamedTuple):
     outline: Array | None = None
 
 
-class Frame:
+class MapAxes:
     """The axes and the key of a canvas that shows the rectangle left, right, bottom, top, m.
 
     The canvas becomes part of a larger sheet: drawing on it also draws on the sheet.

@@ -118,6 +118,17 @@ def test_no_scan_is_in_two_pairs():
     assert np.all((ends - begins <= 31) & (ends > begins))
 
 
+def test_the_noise_of_scans_does_not_select_them(rng):
+    """5 cm per scan, noise of 1 cm: chosen by their own distance, scans are 3 mm too far apart."""
+    n = 12_000
+    noise = rng.normal(0.0, 0.01, n)
+    poses = np.column_stack((0.05 * np.arange(n) + noise, np.zeros((n, 2))))
+    stamps, trusted = 0.1 * np.arange(n), np.ones(n, bool)
+    begins, ends = pairs(LidarPath(stamps, poses, trusted, trusted, twists(stamps, poses)))
+    assert len(begins) > 1000
+    assert abs(np.mean(noise[ends] - noise[begins])) < 0.0015  # four standard errors
+
+
 @pytest.mark.parametrize("beam_time", [0.0, 1e-4])
 def test_path_of_a_simulated_lidar(beam_time):
     """Sweeps of 0.07 s are as accurate as instant ones: the lidar's own motion de-skews them."""

@@ -21,7 +21,7 @@ def found(log, preset, settings=()):
 def test_a_simulator_s_true_odometry_and_mount(data_folder):
     """`/odom` of this bag is the truth; the URDF has the lidar at -0.064 m."""
     got = found(data_folder / "turtlebot3" / "turtlebot3.bag", "default")
-    assert got["distance_scale"].value == pytest.approx(1.0, abs=0.004)
+    assert got["distance_scale"].value == pytest.approx(1.0, abs=0.0014)  # two sigma
     assert got["turn_scale"].value == pytest.approx(1.0, abs=0.002)
     assert got["x"].value == pytest.approx(-0.064, abs=0.003)
     assert got["y"].value == pytest.approx(0.0, abs=0.002)

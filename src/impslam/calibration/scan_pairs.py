@@ -125,13 +125,18 @@ _NONE = [np.empty((0, *shape)) for shape in ((3,), (4,), (4, 4), (), ())]
 
 
 def pairs(path: LidarPath) -> tuple[Ints, Ints]:
-    """Return the rows (m,) of a path at which motions begin and end; each row is used at most once."""
-    begins, ends, a = [], [], 0
+    """Return the rows (m,) of a path at which motions begin and end; each row is used at most once.
+
+    A pair ends one row after its motion is long enough. If it ended at that row, it would end as soon as
+    the noise of its own scan lengthens its motion, and the matched motions would be too long.
+    """
+    begins, ends, a, first = [], [], 0, 0
     for b in range(1, len(path.poses)):
         if not path.trusted[b] or path.middles[b] <= path.middles[b - 1]:
-            a = b + 1
+            a = first = b + 1
         elif b > a:
-            x, y, turn = path.poses[b] - path.poses[a]
+            before = min(1, a - first)
+            x, y, turn = path.poses[b - before] - path.poses[a - before]
             late = path.middles[b] - path.middles[a] >= MAX_INTERVAL
             if math.hypot(x, y) >= PAIR_DISTANCE or abs(turn) >= PAIR_TURN or late:
                 begins.append(a)

@@ -67,6 +67,24 @@ def test_motions_agree_with_odometry(odometry, rng):
     assert np.cos(found.turn[0] - true[2]) == pytest.approx(1.0, abs=1e-12)
 
 
+def test_poses_that_come_again_with_a_scan_do_not_count_at_the_newest_time():
+    """A log of odometry at 10 Hz, in which every other pose is followed by an older one, that of a scan."""
+    at = {
+        k: OdometryPose(0.1 * k, np.array([0.05 * k, 0.0, 0.01 * k]))
+        for k in np.arange(0, 100, 0.5)
+    }
+    order = [row for k in range(99) for row in ([k] if k % 2 else [k, k - 0.5])][2:]
+    model, repeated = (
+        make_model(OdometryPoses(), columns(at[k] for k in rows)) for rows in (range(99), order)
+    )
+    for one, other in zip(
+        motion(model, SCALES[:3], 0.06, BEGINS, ENDS),
+        motion(repeated, SCALES[:3], 0.06, BEGINS, ENDS),
+        strict=True,
+    ):
+        np.testing.assert_allclose(one, other, atol=1e-9)
+
+
 @pytest.mark.parametrize(("model", "values"), MODELS)
 def test_jacobians(model, values):
     at = np.append(values, 0.06)

@@ -35,6 +35,12 @@ def test_the_track_of_the_lego_robot(data_folder):
     assert abs(got["track"].value - 0.176) < 3.0 * got["track"].sigma
 
 
+def test_the_latency_of_a_log_that_repeats_poses_with_scans(data_folder):
+    """fr079: `imp inspect` finds 0.133 s. With repeated poses at the newest time it was 0.16 s."""
+    got = found(data_folder / "fr079" / "fr079.log", None)
+    assert got["latency"].value == pytest.approx(0.133, abs=0.005)
+
+
 def test_stamps_that_run_back_and_forth(data_folder):
     """Over 20 s the path of the scans and odometry agree with 0.963 and 0.986; stamps tell no latency."""
     got = found(data_folder / "intel" / "intel.log", None)

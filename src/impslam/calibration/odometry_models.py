@@ -151,6 +151,9 @@ def is_calibrated(odometry: Odometry) -> bool:
 def make_model(odometry: Odometry, readings: Columns) -> OdometryModel:
     """Return the model of an odometry for its readings (at least two) on one time line.
 
+    A reading older than an earlier row is left out: a pose that a log repeats with the scan it belongs to
+    would count at the time of the newest reading, too late. The next reading contains its motion.
+
     Raises
     ------
     ConfigError
@@ -159,9 +162,10 @@ def make_model(odometry: Odometry, readings: Columns) -> OdometryModel:
     usable = odometry.usable(readings)
     if not odometry.holds:
         readings = readings.take(usable)
-    motions = odometry.motions(readings)
+    newest = np.maximum.accumulate(readings.stamps)
+    readings = readings.take(np.flatnonzero(readings.stamps >= newest))
+    stamps, motions = readings.stamps, odometry.motions(readings)
     unknown = np.isnan(motions.d_pose[:, 0])
-    stamps = np.maximum.accumulate(readings.stamps)
     if isinstance(odometry, Encoders):
         left, right = odometry.turns(readings)
         return DifferentialDrive(

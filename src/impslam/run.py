@@ -24,7 +24,7 @@ from impslam.config import Config
 from impslam.continuing import Continuation, KnownMap, begin_with
 from impslam.diagnosis.diagnose import first_health
 from impslam.diagnosis.odometry_watch import OdometryWatch
-from impslam.errors import SourceError, in_a_line
+from impslam.errors import Interrupted, SourceError, in_a_line
 from impslam.estimators.base import Draft, completed
 from impslam.geometry.se2 import compose, compose_uncertain
 from impslam.health import SOUND, UNEXPLAINED, Standing
@@ -64,7 +64,8 @@ def run(  # noqa: PLR0913  # each is a choice that a user may make
     frozen : localise in that map without changing it
     hint : (2,) or (3,) m, m, rad, approximate pose in the map at the start of the log
     observers : additional observers of the run
-    progress : called with the position in the log and its length, in the source's own unit
+    progress : called with the position in the log and its length, in the source's own unit, and between
+        the steps of refining the map; an exception ends the run
 
     Raises
     ------
@@ -112,14 +113,21 @@ def map_log(
 ) -> Map:
     """Map the log of a source; see `run`. `health` is the initial health, which applies to all poses."""
     current = Run(config, observers, begin, health)
+    report = progress or _ignore
+    place: tuple[int, int | None] = 0, None
+    current.estimator.check_with(lambda: report(*place))
     with source, current.salvaging(source):
         current.robot.streams.choose(source.defaults())
         for batch in source.batches():
             current.feed(batch)
-            if progress is not None:
-                progress(source.position, source.total)
+            place = source.position, source.total  # known only while the source is open
+            report(*place)
         current.flush()
     return current.finish(source)
+
+
+def _ignore(*_: object) -> None:
+    """Report no progress."""
 
 
 class Run:
@@ -304,7 +312,8 @@ class Run:
         """
         self._refuse_empty(source)
         self.tracker.forget()
-        known = self.settled()
+        with self.salvaging(source):
+            known = self.settled()
         self._report_pending(source, known)
         return self._finish_observers(source, known)
 
@@ -339,8 +348,8 @@ class Run:
             raise
 
     def _salvaged(self) -> Map:
-        """Return the settled map, or as much of it as possible if the estimator itself failed."""
-        with suppress(Exception):
+        """Return the settled map, or as much of it as possible if that fails or is interrupted."""
+        with suppress(Exception, Interrupted):
             return self.settled()
         with suppress(Exception):
             known = self.map()

@@ -94,6 +94,31 @@ def test_a_signal_leaves_a_complete_folder_of_a_partial_run(
     check_partial(folder, room, reason)
 
 
+def test_a_signal_ends_the_refinement_and_keeps_the_map_before_it(room, tmp_path) -> None:
+    slow = """
+from impslam.estimators.landmarks import Landmarks
+def settle(self):
+    print("settling", flush=True)
+    for _ in range(1200):
+        time.sleep(0.05)
+        self._checkpoint()
+Landmarks.settle = settle
+bar.RunBar._advance = lambda self, scans: None
+"""
+    folder = tmp_path / "run"
+    with started("run", room, "-o", folder, "--quiet", more=slow) as process:
+        assert "settling\n" in process.stdout
+        begin = time.monotonic()
+        process.send_signal(signal.SIGTERM)
+        _, err = process.communicate()
+    assert time.monotonic() - begin < 10.0
+    assert process.returncode == 143
+    assert err == f"imp: terminated; {folder} contains the map up to here, marked as partial\n"
+    known = Map.load(folder / "map.imp")
+    assert len(known.stamps) == 100
+    assert "the first 100 scans" in known.about["partial"]
+
+
 def test_an_interrupted_run_is_a_prefix_and_can_be_continued(imp, room, tmp_path) -> None:
     folder, graph = tmp_path / "run", ("--set", "estimator.kind=graph")
     with started("run", room, "-o", folder, *graph) as process:

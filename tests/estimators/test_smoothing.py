@@ -75,6 +75,23 @@ def test_settling_does_not_affect_what_follows(gtsam):
     np.testing.assert_array_equal(one.covariances, two.covariances)
 
 
+def test_settling_can_be_ended_and_repeated(gtsam):
+    made, rng, calls = started(), np.random.default_rng(2), []
+    for k, (pose, motion) in enumerate(drive(12, rng)):
+        made.add(keyframe(k, motion, observe(pose, rng)))
+    wanted = made.settle()
+    made.check_with(lambda: calls.append(0))
+    made.settle()
+    for k in range(len(calls)):
+        left = iter(range(k))
+        made.check_with(lambda left=left: next(left))
+        with pytest.raises(StopIteration):
+            made.settle()
+    made.check_with(lambda: None)
+    np.testing.assert_array_equal(made.settle().poses, wanted.poses)
+    assert len(calls) >= 3  # before each iteration, and there are at least two
+
+
 @pytest.mark.parametrize("kind", ["cylinder", "wall"])
 def test_jacobians_are_central_differences(gtsam, kind):
     """Of the beginning and of a later observation, in gtsam's own perturbations, at other values."""

@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
+from pydantic import PrivateAttr
 
 from impslam.component import Component
 from impslam.errors import ConfigError, NumericalError
@@ -46,6 +47,10 @@ class Draft(NamedTuple):
     landmark_covariance: Callable[[], Array] = lambda: NO_COVARIANCE
 
 
+def _go_on() -> None:
+    """Do nothing: the default between the steps of long work."""
+
+
 class Estimator(Component):
     """Estimates the poses of keyframes and a map of landmarks, one keyframe at a time."""
 
@@ -64,6 +69,12 @@ class Estimator(Component):
     """Module of an optional extra that it needs to start."""
     keyframes: ClassVar[KeyframeGate] = KeyframeGate()
     """Which scans become keyframes, unless the config overrides it."""
+    _checkpoint: Callable[[], None] = PrivateAttr(_go_on)
+    """Called between the steps of work that takes seconds; what it raises ends the work."""
+
+    def check_with(self, checkpoint: Callable[[], None]) -> None:
+        """Call a function between the steps of `settle`, which it may end with an exception."""
+        self._checkpoint = checkpoint
 
     @abstractmethod
     def start(self, pose: Array, **parts: Any) -> None:

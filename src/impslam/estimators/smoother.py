@@ -157,8 +157,10 @@ class Smoother:
         """Return the state (dim,) of a landmark."""
         return self._marks[number].state(self._isam.calculateEstimateVector(_m(number)))
 
-    def optimum(self) -> SmootherEstimate:
+    def optimum(self, checkpoint: Callable[[], None] = lambda: None) -> SmootherEstimate:
         """Return the optimum of the whole graph with its marginals; this object does not change.
+
+        `checkpoint` is called between iterations, and may end them with an exception.
 
         Raises
         ------
@@ -166,14 +168,16 @@ class Smoother:
             If there is no optimum.
         """
         try:
-            return self._optimum()
+            return self._optimum(checkpoint)
         except RuntimeError as error:
             raise NumericalError(in_a_line(error)) from None
 
-    def _optimum(self) -> SmootherEstimate:
+    def _optimum(self, checkpoint: Callable[[], None]) -> SmootherEstimate:
         g, isam = self._gtsam, _isam2(self._gtsam, _CONVERGED)  # with the options of the old one
+        checkpoint()
         isam.update(self._isam.getFactorsUnsafe(), self._isam.calculateBestEstimate())
         for _ in range(_MAX_ITERATIONS):
+            checkpoint()
             if isam.update().getVariablesRelinearized() == 0:
                 break
         best = isam.calculateBestEstimate()

@@ -113,7 +113,7 @@ class Smoothing(Landmarks):
             return None
         ids = np.arange(len(self._nodes))
         try:
-            self._settled = best = self._smoother.optimum()
+            self._settled = best = self._smoother.optimum(self._checkpoint)
         except NumericalError as error:
             current = self._smoother.path()[self._nodes], self._covariances.array.copy()
             refused = Revision(ids, *current, refused=f"the map is not refined: {error}")

@@ -149,6 +149,7 @@ def test_two_files_of_one_name_are_two_plug_ins(tmp_path):
         ("gone.py", None, "no such file"),
         ("wrong.py", "1 +", "SyntaxError"),
         ("raises.py", "raise RuntimeError('no')", "RuntimeError: no"),
+        ("exits.py", "raise SystemExit(3)", "SystemExit: 3"),
         ("taken.py", "taken", "registered twice"),
     ],
 )

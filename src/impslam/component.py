@@ -199,7 +199,7 @@ def _import_guarded(what: str, load: Callable[[], object]) -> None:
         load()
     except ConfigError:
         raise
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         text = f"{what}: cannot be imported: {type(error).__name__}: {error}"
         if isinstance(error, ImportError) and str(error.name).startswith("impslam."):
             text += "; it is written for another version of impslam, see CHANGELOG.md"

@@ -370,15 +370,22 @@ def test_a_full_disk_is_told_with_the_file(imp, tmp_path, monkeypatch) -> None:
     fails(imp("config"), "No space left on device; free disk space")
 
 
-def test_an_error_of_a_plug_in_names_it(imp, room, tmp_path) -> None:
+@pytest.mark.parametrize(
+    ("returned", "named"),
+    [
+        ('{}["walls"]', "KeyError: 'walls'"),
+        ("self._walls", "AttributeError: 'Broken' object has no attribute '_walls'"),  # by pydantic
+    ],
+)
+def test_an_error_of_a_plug_in_names_it(imp, room, tmp_path, returned, named) -> None:
     plug_in = tmp_path / "mine.py"
-    plug_in.write_text("""
+    plug_in.write_text(f"""
 from impslam.component import register
 from impslam.extractors.circle import Circle
 @register("broken")
 class Broken(Circle):
     def extract(self, scan, rng):
-        return {}["walls"]
+        return {returned}
 """)
     parts = (
         "--set",
@@ -388,8 +395,43 @@ class Broken(Circle):
     )
     with own_registry():
         said = imp("run", room, "-c", "imp", "-o", tmp_path / "run", *parts)
-    named = f"KeyError: 'walls'; raised by extractor 'broken' of the plug-in {plug_in}, line 7"
-    fails(said, named, code=1)
+    where = f"raised by extractor 'broken' of the plug-in {plug_in}, line 7"
+    fails(said, f"{named}; {where}", code=1)
+
+
+@pytest.mark.parametrize(
+    ("returned", "named"),
+    [
+        ("None", "NoneType in place of a list of observations"),
+        ("['cylinder']", "str in place of an Observation"),
+        ("[seen('cilinder')]", "an observation of 'cilinder', which is no kind of landmark"),
+        (
+            "[seen(z=[1.0, 0.0])]",
+            "a cylinder whose z and R are no arrays of shapes (2,) and (2, 2)",
+        ),
+        ("[seen(z=np.zeros(3))]", "a cylinder whose z and R are no arrays of shapes (2,)"),
+        ("[seen(R=np.eye(3))]", "a cylinder whose z and R are no arrays of shapes (2,)"),
+    ],
+)
+def test_an_extractor_that_returns_no_observations_is_named(imp, room, tmp_path, returned, named):
+    plug_in = tmp_path / "mine.py"
+    plug_in.write_text(f"""
+import numpy as np
+from impslam.component import register
+from impslam.extractors.base import Extractor
+from impslam.types import Observation
+def seen(kind="cylinder", z=np.ones(2), R=np.eye(2)):
+    return Observation(kind, z, R, np.arange(3))
+@register("broken")
+class Broken(Extractor):
+    landmark = "cylinder"
+    def extract(self, scan, rng):
+        return {returned}
+""")
+    parts = ("--set", f'plugins=["{plug_in}"]', "--set", "sensors.lidar.extractors.a.kind=broken")
+    with own_registry():
+        said = imp("run", room, "-c", "imp", "-o", tmp_path / "run", *parts)
+    fails(said, f"error: extractor 'broken' returned {named}")
 
 
 INPUTS_AS_OUTPUTS = [

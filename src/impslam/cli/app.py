@@ -81,11 +81,16 @@ def _plugin(error: BaseException) -> str:
     component = sys.modules.get("impslam.component")  # not loaded by commands without components
     for frame, line in reversed(list(traceback.walk_tb(error.__traceback__))):
         kind: type[Any] = type(frame.f_locals.get("self"))
-        outside = not kind.__module__.startswith("impslam.")
+        file = frame.f_code.co_filename  # not that of a base class
+        outside = not kind.__module__.startswith("impslam.") and file == _file(kind)
         if component is not None and outside and issubclass(kind, component.Component):
-            file = frame.f_code.co_filename
             return f"{kind.role} {kind.name!r} of the plug-in {file}, line {line}"
     return ""
+
+
+def _file(kind: type[Any]) -> str:
+    """Return the file in which a class is defined, or ""."""
+    return getattr(sys.modules.get(kind.__module__), "__file__", None) or ""
 
 
 def _check_encoding(words: list[str]) -> None:

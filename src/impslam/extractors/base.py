@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import ClassVar
+from collections.abc import Iterable, Mapping
+from functools import cached_property
+from typing import Any, ClassVar
 
 import numpy as np
 
-from impslam.component import Component
+from impslam.component import Component, components
+from impslam.errors import ConfigError
 from impslam.types import Observation, Scan
 
 
@@ -18,9 +21,47 @@ class Extractor(Component):
     landmark: ClassVar[str] = ""
     """Kind of landmark it finds: "wall", "cylinder", "corner", ... (thesis 5.1, landmarkType)."""
 
+    @cached_property
+    def _dims(self) -> Mapping[str, int]:
+        """Dimension of an observation, by kind of landmark; the registry takes 0.1 ms to ask."""
+        models: Mapping[str, Any] = components("landmark")
+        return {kind: model.dim_z for kind, model in models.items()}
+
     @abstractmethod
     def extract(self, scan: Scan, rng: np.random.Generator) -> list[Observation]:
         """Return the observations in a scan, in the order of the beams.
 
         `rng` is the random generator of the run, for extractors that sample.
         """
+
+    def observe(self, scan: Scan, rng: np.random.Generator) -> list[Observation]:
+        """Return what `extract` returns, checked, because it may be that of a plug-in.
+
+        Raises
+        ------
+        ConfigError
+            If these are no observations of known landmarks; otherwise a filter would fail later, or worse.
+        """
+        found: Any = self.extract(scan, rng)
+        if isinstance(found, Iterable):
+            found = list(found)
+            wrong = next(filter(None, (_defect(o, self._dims) for o in found)), "")
+        else:
+            wrong = f"{type(found).__name__} in place of a list of observations"
+        if wrong:
+            raise ConfigError(
+                f"extractor {self.name!r} returned {wrong}; correct it, the contract is Extractor in "
+                "impslam.extractors.base"
+            )
+        return list(found)
+
+
+def _defect(o: Any, dims: Mapping[str, int]) -> str:
+    """Return what is wrong with the type of an observation, or ""."""
+    if not isinstance(o, Observation):
+        return f"{type(o).__name__} in place of an Observation"
+    if (n := dims.get(o.kind)) is None:
+        return f"an observation of {o.kind!r}, which is no kind of landmark"
+    if getattr(o.z, "shape", None) != (n,) or getattr(o.R, "shape", None) != (n, n):
+        return f"a {o.kind} whose z and R are no arrays of shapes ({n},) and ({n}, {n})"
+    return ""

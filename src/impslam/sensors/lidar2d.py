@@ -166,5 +166,5 @@ class Lidar2D(Sensor):
                 way * (float(offsets[o.beams].mean()) - middle) if middle and len(o.beams) else 0.0,
             )
             for extractor in self.extractors.values()
-            for o in extractor.extract(scan, rng)
+            for o in extractor.observe(scan, rng)
         )

@@ -2,9 +2,11 @@
 
     python -m benchmarks.lidars --data ../shared/data                  # 1.5 min on two cores
     python -m benchmarks.lidars --data ../shared/data --plot FILE
+    python -m benchmarks.lidars --data ../shared/data --shifts 10      # ten maps of each lidar
 
 Each lidar is emulated from the scans of the log, which has 180 beams at 1 degree and ranges of 30 m or
-more. Then the whole log is mapped with the default config, and with the odometry withheld.
+more. Then the whole log is mapped with the default config, and with the odometry withheld. One map is one
+draw where few places are recognised; with several shifts, each begins at other scans and beams.
 """
 
 from __future__ import annotations
@@ -27,6 +29,7 @@ from impslam.studies.drives import DriveSource, RecordedDrive, recorded
 from impslam.types import Array
 
 LOGS = ("intel", "fr079")
+SKIPPED = 3  # scans at the beginning, for each shift: other scans become keyframes
 BROKEN = 0.5  # m, mean relation error
 
 
@@ -101,29 +104,29 @@ def _drive(log: Path) -> RecordedDrive:
     return recorded(log, None, np.inf)
 
 
-def emulated(drive: RecordedDrive, lidar: Lidar) -> RecordedDrive:
-    """Return a drive as recorded with another lidar."""
+def emulated(drive: RecordedDrive, lidar: Lidar, shift: int = 0) -> RecordedDrive:
+    """Return a drive as recorded with another lidar, from a later scan on and with other beams by shift."""
     angles, scans = drive.scans["angles"], drive.scans
-    beams = np.flatnonzero(np.abs(angles) <= lidar.view / 2.0 + 1e-9)[:: lidar.every]
+    beams = np.flatnonzero(np.abs(angles) <= lidar.view / 2.0 + 1e-9)
+    beams = beams[shift % lidar.every :: lidar.every]
     ranges = lidar.ranges(scans["ranges"], np.random.default_rng(0))[:, beams]
     per_beam = {
         name: value[beams]
         for name, value in scans.layout.items()
         if np.shape(value) == np.shape(angles)
     }
-    return drive._replace(
-        scans=replace(
-            scans,
-            values={**scans.values, "ranges": ranges},
-            layout={**scans.layout, **per_beam},
-        )
+    scans = replace(
+        scans,
+        values={**scans.values, "ranges": ranges},
+        layout={**scans.layout, **per_beam},
     )
+    return drive._replace(scans=scans).keep(slice(SKIPPED * shift, None), slice(None))
 
 
-def outcome(task: tuple[Path, str, str, bool]) -> Outcome:
+def outcome(task: tuple[Path, str, str, bool, int]) -> Outcome:
     """Map a log with an emulated lidar, with its odometry or without."""
-    data, name, lidar, alone = task
-    drive = emulated(_drive(data / name / f"{name}.log"), LIDARS[lidar])
+    data, name, lidar, alone, shift = task
+    drive = emulated(_drive(data / name / f"{name}.log"), LIDARS[lidar], shift)
     if alone:
         config = load("default", ["odometry.kind=lidar_only"])
         source = DriveSource.of(drive.keep(slice(None), slice(0, 0)))
@@ -138,7 +141,10 @@ def outcome(task: tuple[Path, str, str, bool]) -> Outcome:
 
 
 def table(found: Sequence[Outcome]) -> str:
-    """Return errors and closures by lidar, a column for each log with and without odometry."""
+    """Return errors and closures by lidar, a column for each log with and without odometry.
+
+    Of several shifts, those are medians, followed by the range of the mean error.
+    """
     columns = list(dict.fromkeys((o.log, o.alone) for o in found))
     heads = [_heading(log, alone=alone) for log, alone in columns]
     lines = [
@@ -147,10 +153,15 @@ def table(found: Sequence[Outcome]) -> str:
         "|---" * (1 + len(heads)) + "|",
     ]
     for lidar in dict.fromkeys(o.lidar for o in found):
-        of = {(o.log, o.alone): o for o in found if o.lidar == lidar}
-        cells = [f"{o.mean:.3f} ({o.worst:.2f}), {o.closures}" for o in map(of.get, columns) if o]
-        lines.append(f"| {lidar} | " + " | ".join(cells) + " |")
+        draws = ([o for o in found if (o.lidar, o.log, o.alone) == (lidar, *c)] for c in columns)
+        lines.append(f"| {lidar} | " + " | ".join(map(_cell, draws)) + " |")
     return "\n".join(lines)
+
+
+def _cell(draws: Sequence[Outcome]) -> str:
+    mean, worst, closures = np.transpose([(o.mean, o.worst, o.closures) for o in draws])
+    cell = f"{np.median(mean):.3f} ({np.median(worst):.2f}), {np.median(closures):.0f}"
+    return cell if len(draws) == 1 else f"{cell}; {mean.min():.3f} to {mean.max():.3f}"
 
 
 def _heading(log: str, *, alone: bool) -> str:
@@ -188,14 +199,16 @@ def main() -> None:
     options.add_argument("--data", type=Path, required=True)
     options.add_argument("--logs", nargs="+", default=LOGS, choices=LOGS)
     options.add_argument("--lidars", nargs="+", default=list(LIDARS), choices=list(LIDARS))
+    options.add_argument("--shifts", type=int, default=1, help="maps of each lidar")
     options.add_argument("--jobs", type=int, default=2)
     options.add_argument("--plot", type=Path)
     given = options.parse_args()
     tasks = [
-        (given.data, log, lidar, alone)
+        (given.data, log, lidar, alone, shift)
         for log in given.logs
         for alone in (False, True)
         for lidar in given.lidars
+        for shift in range(given.shifts)
     ]
     found = []
     with get_context("spawn").Pool(given.jobs) as pool:

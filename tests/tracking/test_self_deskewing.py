@@ -11,12 +11,14 @@ import impslam
 from impslam.evaluation.trajectory import align
 from impslam.geometry.angles import wrap
 from impslam.geometry.se2 import compose
+from impslam.health import LOST
 from impslam.noise import UNKNOWN
 from impslam.sensors.deskewing import deskew_sweeps
 from impslam.simulation.robot import Lidar, SimulatedRobot
 from impslam.simulation.simulate import simulate
-from impslam.simulation.world import load_world
+from impslam.simulation.world import World, load_world
 from impslam.sources.recording import McapWriter
+from impslam.studies.fault_scores import LiveRecorder
 from impslam.tracking.self_deskewing import deskew, set_twist, with_stamps
 from impslam.types import Increment, LaserScan, TruePose
 
@@ -47,10 +49,19 @@ def test_sweeps_are_moved_as_with_odometry(known):
 def test_a_sweep_takes_no_longer_than_the_time_between_sweeps():
     """Stamps may stand still."""
     twist = np.empty(3)
-    set_twist(np.array([0.1, 0.0, 0.2]), 0.0, AFTER, twist)
+    motion = np.array([0.1, 0.0, 0.2])
+    set_twist(motion, motion, 0.0, AFTER, twist)
     np.testing.assert_allclose(twist, np.array([0.1, 0.0, 0.2]) / np.ptp(AFTER))
-    set_twist(np.array([0.1, 0.0, 0.2]), 0.4, AFTER, twist)
+    set_twist(motion, motion, 0.4, AFTER, twist)
     np.testing.assert_allclose(twist, np.array([0.25, 0.0, 0.5]))
+
+
+def test_the_twist_of_a_steadily_accelerating_robot_is_that_at_the_middle_of_the_sweep():
+    """Middles at 0, 0.2 and 0.4 s, at which it turns by a t^2 / 2; the mean velocity lags by 0.1 s."""
+    twist, acceleration = np.empty(3), np.array([0.5, 0.0, 3.0])
+    first, second, third = (0.5 * acceleration * t**2 for t in (0.0, 0.2, 0.4))
+    set_twist(third - second, second - first, 0.2, AFTER, twist)
+    np.testing.assert_allclose(twist, 0.4 * acceleration)
 
 
 def test_the_pose_at_a_stamp_is_as_certain_as_the_velocity():
@@ -71,29 +82,64 @@ def test_the_pose_at_a_stamp_is_as_certain_as_the_velocity():
     np.testing.assert_allclose(found.T_middle_stamp[1:], 0.01, atol=1e-12)
 
 
-def test_a_slow_lidar_alone_shows_turns_and_the_poses_at_its_stamps(tmp_path):
-    """A sweep takes 0.18 s, in which the robot drives 5 cm and turns by up to 8 deg."""
+def driven(folder, world, range_max=12.0, rate=1.0 / PERIOD):
+    """Simulate a robot with nothing but a slow lidar; return its log, and its true poses by stamp."""
     lidar = Lidar(
         beams=BEAMS,
         angle_min=-np.pi,
         angle_step=2.0 * np.pi / BEAMS,
-        beam_time=PERIOD / BEAMS,
-        rate=1.0 / PERIOD,
+        beam_time=1.0 / rate / BEAMS,
+        rate=rate,
         mount=(0.0, 0.0, 0.0),
-        range_max=12.0,
+        range_max=range_max,
     )
-    truth, log = {}, tmp_path / "slow.mcap"
+    truth, log = {}, folder / "slow.mcap"
     with McapWriter(log, "default") as writer:
-        for message in simulate(
-            load_world("arena"), SimulatedRobot(imu=None, encoders=None, lidar=lidar)
-        ):
+        for message in simulate(world, SimulatedRobot(imu=None, encoders=None, lidar=lidar)):
             if isinstance(message, LaserScan):
                 writer.write(message)
             elif isinstance(message, TruePose):
                 truth[round(message.stamp, 4)] = message.pose
-    path = impslam.run(log, settings=["odometry.kind=lidar_only"]).path()
+    return log, truth
+
+
+def errors(path, truth):
+    """Return the distance (n,) in m and angle (n,) in rad of a path (n, 4) from the truth, aligned."""
     true = np.array([truth[round(stamp, 4)] for stamp in path[:, 0]])
     found = compose(align(path[:, 1:3], true[:, :2]), path[:, 1:])
-    off = np.hypot(*(found - true)[:, :2].T)
+    return np.hypot(*(found - true)[:, :2].T), np.abs(wrap(found[:, 2] - true[:, 2]))
+
+
+def test_a_slow_lidar_alone_shows_turns_and_the_poses_at_its_stamps(tmp_path):
+    """A sweep takes 0.18 s, in which the robot drives 5 cm and turns by up to 8 deg."""
+    log, truth = driven(tmp_path, load_world("arena"))
+    path = impslam.run(log, settings=["odometry.kind=lidar_only"]).path()
+    off, turned = errors(path, truth)
     assert np.sqrt(np.mean(off**2)) < 0.01
-    assert np.abs(wrap(found[:, 2] - true[:, 2])).max() < np.radians(2.0)
+    assert turned.max() < np.radians(2.0)
+
+
+def corridor():
+    """Return a world with a ring of corridors, and a robot that turns fast at its corners."""
+    robot = {
+        "start": (0.0, 0.0, 0.0),
+        "waypoints": [(12.0, 0.0), (12.0, 8.0), (0.0, 8.0), (0.0, 0.0)],
+        "speed": 0.8,
+        "turn_rate": 2.0,
+        "turn_acceleration": 8.0,
+        "lookahead": 0.25,
+    }
+    corners = [(-1.0, -1.0), (13.0, -1.0), (13.0, 9.0), (-1.0, 9.0)]
+    ends = zip(corners, corners[1:] + corners[:1], strict=True)
+    walls = [{"start": start, "end": end} for start, end in ends]
+    core = {"centre": (6.0, 4.0), "size": (10.0, 6.0)}
+    return World.model_validate({"walls": walls, "boxes": [core], "robot": robot})
+
+
+def test_a_turn_that_begins_within_a_sweep_is_no_new_place(tmp_path):
+    """The turn rate changes by up to 1.6 rad/s in a sweep of 0.2 s, and half of it may fit as before."""
+    log, truth = driven(tmp_path, corridor(), range_max=8.0, rate=5.0)
+    seen = LiveRecorder()
+    path = impslam.run(log, settings=["odometry.kind=lidar_only"], observers=[seen]).path()
+    assert (seen.outcome.health.states != LOST).all()
+    assert errors(path, truth)[1].max() < np.radians(5.0)

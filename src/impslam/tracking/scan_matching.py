@@ -59,6 +59,8 @@ MIN_POINTS = 10
 """Points; a scan with fewer is not matched."""
 MIN_SLIP = (0.1, 0.025)
 """m, rad: a smaller difference from odometry is no slip, however certain odometry is."""
+TURN_CHANGES = (0.0, 1.0, -1.0, 2.0, -2.0)
+"""Multiples of `RATE_SIGMA` by which the turn rate may have changed since the last sweep."""
 SEARCH_BELOW = 0.7
 """Share of the mean inlier share below which the pose is searched for."""
 MAX_LOCATED_SIGMA = 0.02
@@ -141,23 +143,34 @@ def _use_scan(
 def _deskew(
     k: int, seconds: float, beams: BeamColumns, state: State, settings: Settings, features: Features
 ) -> None:
-    """De-skew sweep k, `seconds` after the last one, with the motion to its first match.
+    """De-skew sweep k, `seconds` after the last one, with the twist that its first match shows.
 
-    For that match it is de-skewed with the last velocity. `features` are overwritten.
+    For that match it is de-skewed with the last velocity. Where a turn begins within a sweep, the beams
+    before may fit as if there was none, so other turn rates are tried if the sweep fits poorly. `features`
+    are overwritten.
     """
     parts = beams.points[k], beams.origins[k], beams.directions[k], beams.after
-    known, twist, motion = np.zeros(3), np.zeros(3), state.velocity.copy()
-    if not is_empty(state.submaps):
-        set_twist(motion, seconds, beams.after, known)
-        deskew(parts, known, np.zeros(3))
+    twist, known, motion = np.zeros(3), np.zeros(3), state.velocity.copy()
+    guess, means, best = state.pose.copy(), state.averages.copy(), -1.0
+    for change in TURN_CHANGES:
+        if is_empty(state.submaps) or best > SEARCH_BELOW * means[0]:
+            break
+        trial = state.velocity.copy()
+        trial[2] += change * RATE_SIGMA * seconds
+        set_twist(trial, trial, seconds, beams.after, twist)
+        deskew(parts, twist, known)
+        known[:] = twist
         count = _find_features(beams, k, True, settings, features)
         if count < MIN_POINTS:
             return
-        guess, means = state.pose.copy(), state.averages.copy()
-        _find_pose(features[:count], state, settings, np.empty((3, 3)), np.empty(3))
-        between(state.matched, state.pose, motion)
+        state.pose[:] = state.matched
+        advance_pose(state.pose, trial)
+        share = _find_pose(features[:count], state, settings, np.empty((3, 3)), np.empty(3))
+        if share > best:
+            best = share
+            between(state.matched, state.pose, motion)
         state.pose[:], state.averages[:] = guess, means
-    set_twist(motion, seconds, beams.after, twist)
+    set_twist(motion, state.velocity, seconds, beams.after, twist)
     deskew(parts, twist, known)
 
 

@@ -1,8 +1,9 @@
 """De-skew the sweeps of a robot without odometry, by the motion that scan matching finds.
 
 A turn by 1 rad/s rotates the end of a sweep of 0.18 s against its beginning by 10 deg. The robot speeds up
-and brakes from sweep to sweep, so the motion is that to a first match of the sweep, de-skewed with the last
-velocity. It also leads from the pose at the middle of the sweep to that at its stamp.
+and brakes from sweep to sweep, so the twist follows from the motion to a first match of the sweep,
+de-skewed with the last velocity, and from the motion before. The motion also leads from the pose at the
+middle of the sweep to that at its stamp.
 """
 
 from __future__ import annotations
@@ -59,16 +60,18 @@ def unknown(covariances: Array) -> Mask:
 
 
 @kernel
-def set_twist(motion: Array, seconds: float, after: Array, twist: Array) -> None:
-    """Set the twist (3,) of a sweep to that of a motion (3,) in the `seconds` between two sweeps.
+def set_twist(motion: Array, before: Array, seconds: float, after: Array, twist: Array) -> None:
+    """Set the twist (3,) of a sweep at its middle.
 
-    `after` (n,) s are the times of the beams after the middle. No sweep takes longer than the time between
-    sweeps; stamps that say so are wrong.
+    `motion` (3,) is that to its middle from the middle of the sweep before, in `seconds`, and `before` (3,)
+    the one to that. The mean velocity over an interval is that at its centre, half an interval earlier, so
+    half of its last change is added. `after` (n,) s are the times of the beams after the middle. No sweep
+    takes longer than the time between sweeps; stamps that say so are wrong.
     """
     first = last = 0.0
     for t in after:
         first, last = min(first, t), max(last, t)
-    twist[:] = motion / max(seconds, last - first, 1e-3)
+    twist[:] = (1.5 * motion - 0.5 * before) / max(seconds, last - first, 1e-3)
 
 
 @kernel

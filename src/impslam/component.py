@@ -230,9 +230,28 @@ def roles() -> list[str]:
     return sorted({*_PACKAGES, *_ROLES})
 
 
+_EXPECTED = {
+    "int_parsing": "a whole number",
+    "int_type": "a whole number",
+    "int_from_float": "a whole number",
+    "float_parsing": "a number",
+    "float_type": "a number",
+    "bool_parsing": "true or false",
+    "bool_type": "true or false",
+    "string_type": "text in quotes",
+}
+"""What a value of a wrong type should have been, by pydantic's type of the error."""
+_WORDING = (
+    ("Value error, ", ""),
+    ("Input should be", "must be"),
+    ("greater than or equal to", "at least"),
+    ("less than or equal to", "at most"),
+)
+
+
 def near_miss(word: str, known: Any) -> str:
     """Return a hint with the closest known word, or with all of them."""
-    close = difflib.get_close_matches(word, list(known), n=1, cutoff=0.5)
+    close = difflib.get_close_matches(word, list(known), n=1, cutoff=0.6)
     if close:
         return f"did you mean {close[0]!r}?"
     return f"known: {', '.join(sorted(known))}"
@@ -303,7 +322,16 @@ def explain(error: ValidationError, where: str, known: Any) -> str:
     value = shorten(first.get("input"))
     if first["type"] == "dict_type":
         return f"{path} = {value}: expected a table, e.g. {path}.kind = NAME"
-    return f"{path} = {value}: {first['msg'].removeprefix('Value error, ')}"
+    return f"{path} = {value}: {_plain(first['type'], first['msg'])}"
+
+
+def _plain(kind: str, message: str) -> str:
+    """Return pydantic's message on a value in the words of the other messages."""
+    if kind in _EXPECTED:
+        return f"must be {_EXPECTED[kind]}"
+    for theirs, ours in _WORDING:
+        message = message.replace(theirs, ours)
+    return message
 
 
 def _describe_missing(loc: Sequence[int | str], where: str, known: Any) -> str:

@@ -78,6 +78,9 @@ def _sets(setting: str, key: str) -> bool:
 
 def _source(log: Path, parameters: Mapping[str, Any]) -> Source:
     kind = recognise(log)
+    for key, option in (("topics", "--topic"), ("columns", "--columns")):
+        if key in parameters and key not in kind.model_fields:
+            raise ConfigError(f"{log}: logs of kind {kind.name} have no {key}; leave out {option}")
     try:
         return kind(path=log, **parameters)
     except ValidationError as error:

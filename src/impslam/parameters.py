@@ -46,12 +46,12 @@ class Parameters(BaseModel):
         for number in _numbers(value):
             if isinstance(number, int):
                 if abs(number) >= 1 << 63:
-                    raise ValueError("Input should be a number of at most 18 digits")
+                    raise ValueError("must be a number of at most 18 digits")
             elif not math.isfinite(number):
                 if repr(number) not in meant:
-                    raise ValueError("Input should be a finite number")
+                    raise ValueError("must be a finite number")
             elif number and not low <= abs(number) <= high:
-                raise ValueError(f"Input should be 0, or {low:g} to {high:g} in size ({unit})")
+                raise ValueError(f"must be 0, or {low:g} to {high:g} in size ({unit})")
         return value
 
 

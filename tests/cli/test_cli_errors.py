@@ -95,6 +95,11 @@ def test_too_few_arguments(imp) -> None:
     fails(imp("run", "a", "--set"), "imp run: --set needs a value; see imp run --help")
 
 
+def test_an_unusable_option_names_its_command(imp) -> None:
+    fails(imp("map", "info", "a", "--x"), "imp map info: unknown option: --x; see imp map info")
+    fails(imp("run", "a", "--seed", "x"), "imp run: invalid value for --seed", "not a whole number")
+
+
 def test_unknown_preset(imp, room) -> None:
     fails(imp("run", room, "-c", "imq"), "imq", "did you mean 'imp'?")
     fails(imp("config", "defalt"), "defalt", "did you mean 'default'?")
@@ -115,7 +120,8 @@ def test_typo_names_the_near_miss(imp, room) -> None:
 def test_wrong_type_and_bounds(imp, room) -> None:
     fails(imp("run", room, "--set", "sensors.lidar.sigma=much"), "sensors.lidar.sigma", "'much'")
     fails(imp("run", room, "--set", "sensors.lidar.sigma=-1"), "sensors.lidar.sigma", "-1")
-    fails(imp("run", room, "--set", "seed=soon"), "seed", "'soon'")
+    fails(imp("run", room, "--set", "seed=soon"), "seed = 'soon': must be a whole number")
+    fails(imp("run", room, "--set", "keyframes.distance=-1"), "distance = -1: must be at least 0")
 
 
 @pytest.mark.parametrize(
@@ -144,6 +150,13 @@ def test_a_base_that_is_its_own(imp, tmp_path, monkeypatch) -> None:
 def test_settings_without_a_value(imp, room) -> None:
     fails(imp("run", room, "--set", "seed"), "--set seed", "key=value")
     fails(imp("run", room, "--topic", "scan"), "--topic scan", "role=name")
+
+
+def test_topics_of_a_log_without_topics(imp, tmp_path) -> None:
+    log = tmp_path / "log.csv"
+    log.write_text("stamp,x,y,theta,0,1\n0,0,0,0,1,1\n")
+    said = imp("run", log, "--topic", "scan=/scan")
+    fails(said, "log.csv: logs of kind csv have no topics; leave out --topic")
 
 
 def test_a_topic_that_is_not_there(imp, room) -> None:

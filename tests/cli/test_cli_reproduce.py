@@ -112,6 +112,7 @@ def test_an_interruption_keeps_the_experiments_that_are_done(
     ("words", "complaint"),
     [
         (["pionts"], "no such experiment; did you mean 'points'"),
+        (["nothing"], "no such experiment; known: all, "),
         (["points", "--seeds", "0"], "--seeds 0: must be at least 1"),
         (["points", "--seeds", "3", "--full"], "--full and --seeds: give only one of them"),
         (["points", "-j", "-2"], "--jobs -2: must be at least 1"),

@@ -105,7 +105,7 @@ def test_no_table_takes_what_nothing_measures(cls) -> None:
 )
 def test_a_setting_is_refused_by_its_key(key: str, value: str) -> None:
     given = f"[{value}, 0.0, 0.0]" if key == "start" else value
-    with pytest.raises(ConfigError, match=rf"^{key}[^\n]*: Input should be [^\n]*$"):
+    with pytest.raises(ConfigError, match=rf"^{key}[^\n]*: must be [^\n]*$"):
         load("imp", [f"{key}={given}"])
 
 

@@ -58,7 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _fail(code, error, message, debug)
     except QuitError as error:
         return _fail(INTERRUPTED, error, str(error), debug)
-    except (ImpError, CycloptsError) as error:
+    except ImpError as error:
         return _fail(UNUSABLE, error, f"error: {error}", debug)
     except OSError as error:
         path = f"{error.filename}: " if error.filename else ""
@@ -103,16 +103,8 @@ def _check_encoding(words: list[str]) -> None:
 def _run_command(words: list[str]) -> None:
     try:
         command, bound, _ = make_app().parse_args(words, exit_on_error=False, print_error=False)
-    except UnusedCliTokensError as error:
-        name = " ".join(("imp", *(error.command_chain or ())))
-        unused = " ".join(error.unused_tokens or ())
-        text = f"{name} takes no further argument, but got {unused}; see {name} --help"
-        raise ImpError(text) from error
-    except MissingArgumentError as error:
-        name = " ".join(("imp", *(error.command_chain or ())))
-        what = error.argument.names[0] if error.argument is not None else "an argument"
-        lack = "needs a value" if error.keyword else "is missing"
-        raise ImpError(f"{name}: {what} {lack}; see {name} --help") from error
+    except CycloptsError as error:
+        raise ImpError(_usage_error(error)) from error
     configure_logging(bound.arguments.get("common"))
     run: Callable[..., object] = command
     startup_notice.begin(words)
@@ -120,6 +112,21 @@ def _run_command(words: list[str]) -> None:
         run(*bound.args, **bound.kwargs)
     finally:
         startup_notice.end()
+
+
+def _usage_error(error: CycloptsError) -> str:
+    """Return one line that says what is wrong with the arguments of which command."""
+    name = " ".join(("imp", *(error.command_chain or ())))
+    advice = f"see {name} --help"
+    if isinstance(error, UnusedCliTokensError):
+        unused = " ".join(error.unused_tokens or ())
+        return f"{name} takes no further argument, but got {unused}; {advice}"
+    if isinstance(error, MissingArgumentError):
+        what = error.argument.names[0] if error.argument is not None else "an argument"
+        lack = "needs a value" if error.keyword else "is missing"
+        return f"{name}: {what} {lack}; {advice}"
+    text = str(error).rstrip(".")
+    return f"{name}: {text[:1].lower()}{text[1:]}; {advice}"
 
 
 def _fail(code: int, error: BaseException, message: str, debug: bool) -> int:

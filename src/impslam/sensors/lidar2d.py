@@ -83,9 +83,9 @@ class Lidar2D(Sensor):
     @classmethod
     def _is_a_range(cls, value: float, info: ValidationInfo) -> float:
         if value < 0.0:
-            raise ValueError("Input should be at least 0")
+            raise ValueError("must be at least 0")
         if info.field_name == "range_max" and value <= info.data.get("range_min", math.nan):
-            raise ValueError(f"Input should be above range_min, {info.data['range_min']:g}")
+            raise ValueError(f"must be above range_min, {info.data['range_min']:g}")
         return value
 
     @field_validator("extractors")

@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -223,7 +224,18 @@ def test_the_default_maps_the_arena_and_its_odometry_is_dead_reckoning():
 
 
 @pytest.mark.slow
-def test_the_printed_gate_loses_the_map_and_the_one_of_squares_keeps_it():
+@pytest.mark.parametrize("experiment", [POINTS, LINES, BOTH], ids=lambda e: e.name)
+def test_every_interpretation_of_the_text_is_a_valid_config(experiment):
+    for variant in experiment.interpretations:
+        config = variant.config(load_world("arena"), 0)
+        config.make_estimator()
+        config.make_robot()
+
+
+def test_the_printed_gate_loses_the_map_and_the_one_of_squares_keeps_it(monkeypatch):
+    """With one interpretation of the text: the others are variants like it."""
+    shorter = replace(POINTS, interpretations=POINTS.interpretations[:1])
+    monkeypatch.setattr(Experiment, "load", lambda name: shorter)
     steps = []
     part = arena.points(Job(1, progress=lambda *step: steps.append(step)))
     assert part.name == "points"
@@ -231,5 +243,6 @@ def test_the_printed_gate_loses_the_map_and_the_one_of_squares_keeps_it():
     assert part.numbers["2_m_gate"]["seeds_missing"] == part.numbers["seeds"]
     assert part.numbers["thesis"]["distance"][END].median < 0.05
     assert part.numbers["default"]["distance"][END].median < 0.01
-    assert len(part.runs) == len(POINTS.variants) + len(POINTS.interpretations)
+    assert len(part.runs) == len(shorter.variants) + len(shorter.interpretations)
+    assert list(part.numbers["readings"]) == [shorter.interpretations[0].name]
     assert steps

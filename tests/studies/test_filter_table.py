@@ -5,9 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.studies.worlds import beginning
 
 from impslam.component import components
 from impslam.config import load
+from impslam.simulation.world import load_world
 from impslam.studies import filter_table
 from impslam.studies.circle_simulation import HUANG, simulate
 from impslam.studies.filter_consistency import BATCH
@@ -71,8 +73,11 @@ def test_the_figure_has_a_panel_for_each_data_set(rows):
 
 
 def test_the_section_has_a_table_for_each_data_set(monkeypatch):
+    """On the first 10 s of the worlds: what the filters make of whole drives is the study's result."""
     monkeypatch.setattr(filter_table, "FILTERS", {"ekf": FILTERS["ekf"]})
     monkeypatch.setattr(filter_table, "SETTINGS", {"circle": SHORT})
+    worlds = [beginning(load_world(name), 10.0) for name in filter_table.WORLDS]
+    monkeypatch.setattr(filter_table, "WORLDS", worlds)
     part = filter_table.filter_table(filter_table.Job(seeds=1))
     assert [table.title for table in part.tables] == ["Circle", "Arena", "Corridor"]
     assert [row[0] for row in part.tables[0].rows] == ["ekf", BATCH]

@@ -3,6 +3,7 @@
 import math
 
 import pytest
+from tests.studies.worlds import beginning
 
 from impslam.errors import ConfigError, ImpError
 from impslam.simulation.world import load_world
@@ -16,13 +17,7 @@ from impslam.sweeps.statistics import Quantiles, mean, rms
 @pytest.fixture(scope="module")
 def short():
     """Two worlds in which the robot drives for three seconds."""
-
-    def cut(name):
-        world = load_world(name)
-        robot = world.robot.model_copy(update={"limit": 3.0})
-        return world.model_copy(update={"robot": robot})
-
-    return [cut("arena"), cut("room")]
+    return [beginning(load_world(name), 3.0) for name in ("arena", "room")]
 
 
 def fail_for_ekf(run):

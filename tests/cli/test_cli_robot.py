@@ -74,7 +74,7 @@ def test_beyond_loopback_it_asks_for_a_password_first(imp, home):
     path.write_text(ROBOT)
     said = imp("robot", "-c", path, "--host", "0.0.0.0", "--folder", home / "logs", "--record")
     assert said.code == 2
-    assert "`imp robot password` sets one" in said.err
+    assert "set one with `imp robot password`" in said.err
     assert not (home / "logs").exists()
 
 

@@ -283,10 +283,12 @@ def test_a_map_is_continued_and_a_click_gives_a_hint(browser, robot):
         page = watched.page
         page.get_by_test_id("tab-maps").click()
         making, hall, broken = page.get_by_test_id("stored-map").all()
-        expect(making.get_by_test_id("go-on")).to_have_count(0)
+        expect(making.get_by_test_id("continue")).to_have_count(0)
         expect(broken.get_by_test_id("localise")).to_have_count(0)
         hall.get_by_test_id("localise").click()
-        expect(page.get_by_text("It stays as it is.")).to_contain_text("after some 10 m of driving")
+        expect(page.get_by_text("The map does not change.")).to_contain_text(
+            "after some 10 m of driving"
+        )
         page.get_by_test_id("confirm").click()
         expect(page.get_by_test_id("sought")).to_contain_text(
             "Drive on for some 10 m, or click where it is."

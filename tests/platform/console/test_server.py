@@ -42,11 +42,11 @@ def refused(tmp_path, **settings):
 class TestWhereItListens:
     @pytest.mark.parametrize("host", ["0.0.0.0", "::"])
     def test_other_computers_are_not_served_without_a_password(self, tmp_path, host):
-        assert "until a password to drive is set" in refused(tmp_path, host=host)
+        assert "other computers need a password to drive" in refused(tmp_path, host=host)
 
     def test_a_password_to_watch_is_not_enough(self, tmp_path):
         Accounts(tmp_path / "accounts.json").set("watch", "watch-password")
-        assert "until a password to drive is set" in refused(tmp_path, host="0.0.0.0")
+        assert "other computers need a password to drive" in refused(tmp_path, host="0.0.0.0")
 
     def test_passwords_that_others_can_read_are_refused(self, tmp_path):
         Accounts(tmp_path / "accounts.json").set("drive", DRIVE)

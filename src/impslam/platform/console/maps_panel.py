@@ -38,21 +38,21 @@ class MapsPanel(StoredPanel[StoredMap]):
             return
         if self._viewer.session.may_drive and not one.damage:
             continue_ = self._start_action(one.name, frozen=False)
-            button(f"Go on with {one.name}", "go-on", continue_, "quiet", "add_location")
+            button(f"Continue {one.name}", "continue", continue_, "quiet", "add_location")
             localise = self._start_action(one.name, frozen=True)
             button(f"Localise in {one.name}", "localise", localise, "quiet", "my_location")
         self.add_delete_button(one.name)
 
     def _start_action(self, name: str, *, frozen: bool) -> Callable[[], Awaitable[None]]:
         if frozen:
-            act, question = "Localise", f"Localise in {name}? It stays as it is."
+            act, question = "Localise", f"Localise in {name}? The map does not change."
         else:
-            act = "Go on"
-            question = f"Go on with {name}? It stays, and a new map grows from it."
-        question += " Where the robot is in it is found after some 10 m of driving."
+            act = "Continue"
+            question = f"Continue {name}? A new map begins as a copy of it."
+        question += " The robot finds its place after some 10 m of driving."
 
         async def start() -> None:
-            if await self._viewer.confirm(f"{question} The present map stays under Maps.", act):
+            if await self._viewer.confirm(f"{question} The current map is kept under Maps.", act):
                 await self._viewer.run(lambda: self._station.continue_map(name, frozen=frozen))
                 await self.refresh()
 

@@ -223,8 +223,8 @@ def allowed(settings: ServerSettings) -> tuple[bool, Accounts]:
     local_only, accounts = hosts.loopback(settings.host), Accounts(settings.accounts)
     if not local_only and "drive" not in accounts.rights():
         raise ImpError(
-            f"host {settings.host}: beyond this computer nobody is served until a password to "
-            "drive is set; `imp robot password` sets one, --host 127.0.0.1 serves only this computer"
+            f"host {settings.host}: other computers need a password to drive, and none is set; set one "
+            "with `imp robot password`, or serve only this computer with --host 127.0.0.1"
         )
     return local_only, accounts
 

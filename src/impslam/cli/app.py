@@ -115,7 +115,7 @@ def _run_command(words: list[str]) -> None:
 
 
 def _usage_error(error: CycloptsError) -> str:
-    """Return one line that says what is wrong with the arguments of which command."""
+    """Return one line that names the command and what is wrong with its arguments."""
     name = " ".join(("imp", *(error.command_chain or ())))
     advice = f"see {name} --help"
     if isinstance(error, UnusedCliTokensError):

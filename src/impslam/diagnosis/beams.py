@@ -1,4 +1,4 @@
-"""Check beams: the robot's own body in view, and dead sectors."""
+"""Find beams that hit the robot's own body, and sectors without returns."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ stands sees the same things all the time, and open space in the same directions.
 
 
 def check_beams(e: Evidence) -> list[Finding]:
-    """Find beams that hit the robot itself, and dead sectors."""
+    """Find beams that hit the robot itself, and sectors without returns."""
     if e.samples is None or not _travels(e.sweep_motions):
         return []
     return [*_body(e, e.samples), *_dead(e, e.samples)]

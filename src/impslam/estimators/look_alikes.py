@@ -34,7 +34,7 @@ MIN_KEYFRAMES = 3
 
 
 class LookAlikes:
-    """Finds the places that look like that of the estimate, and tells them apart."""
+    """Finds the places that look like that of the estimate, and rules them out by later scans."""
 
     def __init__(self) -> None:
         self._shifts, self._worse = np.empty((0, 2)), np.empty(0, np.int64)
@@ -44,7 +44,7 @@ class LookAlikes:
 
     @property
     def exist(self) -> bool:
-        """Whether scans have not told another place apart yet."""
+        """Whether the scans still fit at another place."""
         return len(self._shifts) > 0
 
     @property

@@ -160,7 +160,7 @@ class SessionPlacer:
     def _compare_odometry(
         self, node: int, keys: KeyframeLog, graph: PoseGraph
     ) -> Comparison | None:
-        """Compare a node with the map at its place by odometry, if odometry tells one."""
+        """Compare a node with the map at the place that odometry gives, if it gives one."""
         begin = int(graph.roots[node])
         if not self._is_linked(begin, graph):
             return None

@@ -27,6 +27,7 @@ def derivative(angles: Array, ranges: Array) -> Array:
 def candidates(slope: Array, threshold: float) -> list[tuple[int, int]]:
     """Return the first and last beam of every object: a fall of the range, then a rise.
 
+    `slope` (n - 1,) is that of the ranges and `threshold` its least size at an edge, both in m/rad.
     A second fall before the rise restarts the object, nearer to the laser; a rise without a fall
     before it is ignored.
     """

@@ -55,7 +55,7 @@ class LandmarkWatch:
         self._newest = -1  # newest landmark
         self._recent = deque([-1], maxlen=MEMORY)  # the same at the last keyframes
         self._before: int | None = None  # newest landmark before the robot was displaced
-        self._carried = False  # whether the tracker says so
+        self._carried = False  # whether the tracker reports it
 
     def revise(self, keyframe: Keyframe, revision: Revision) -> tuple[int, float]:
         """Add a keyframe; return the reason for concern, `NONE` if there is none, and its amount."""

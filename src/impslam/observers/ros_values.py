@@ -32,7 +32,7 @@ def path(stamps: Array, poses: Array) -> RosMessage:
 
 
 def frames(stamp: float, T_map_odom: Array, T_odom_base: Array) -> RosMessage:
-    """Return map -> odom -> base_link as `tf2_msgs/TFMessage`."""
+    """Return two poses (3,) m, m, rad, map -> odom -> base_link, as `tf2_msgs/TFMessage`; stamp in s."""
     pairs = (("map", "odom", T_map_odom), ("odom", "base_link", T_odom_base))
     return new("tf2_msgs/msg/TFMessage", [_frame(stamp, *pair) for pair in pairs])
 

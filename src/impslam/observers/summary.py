@@ -102,7 +102,7 @@ def compiled(outcome: Outcome) -> str:
 
 
 def stage_times(seconds: Array) -> dict[str, float | None]:
-    """Return mean, median and 99th percentile in ms."""
+    """Return mean, median and 99th percentile in ms of times (n,) in s; None without times."""
     if len(seconds) == 0:
         return {"mean": None, "p50": None, "p99": None}
     p50, p99 = np.percentile(seconds, (50, 99))

@@ -103,7 +103,7 @@ def around(centre: Array, radius: float, *heights: float) -> Array:
 
 
 def disc(centre: Array, radius: float, colour: tuple[int, int, int]) -> Paint:
-    """Return the paint of a disc."""
+    """Return the paint of a disc: centre (2,) and radius in m in the painted plane, colour in RGB."""
 
     def paint(x: Canvas, y: Canvas) -> Canvas:
         inside = np.hypot(x - centre[0], y - centre[1]) <= radius

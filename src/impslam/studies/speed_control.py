@@ -21,7 +21,7 @@ from impslam.types import Array
 
 BEGIN, EVENT, RELEASED, END = 0.2, 1.0, 1.5, 3.0  # s
 SPEED, TURN, LOAD = 0.3, 0.15, 0.2  # m/s, m/s, 1
-SETTLED = 0.1  # 1, of the step
+SETTLED = 0.1  # share of the step by which a settled speed may be off
 
 
 class SpeedCase(NamedTuple):

@@ -26,9 +26,9 @@ recorded buildings, changes that a second scan confirms are up to 0.047 of a sca
 
 @kernel
 def notice_carried(beams: BeamColumns, k: int, state: State, duration: float, out: Steps) -> bool:
-    """Return whether the robot was carried before sweep k; new maps then begin, and `out` says so.
+    """Return whether the robot was carried before sweep k; new maps then begin, and `out` records it.
 
-    The sweep that proves it may not be matched; the next one that is matched then says so.
+    The sweep that shows it may not be matched; then the next matched sweep records it.
     """
     past, proven = state.lidar.past, state.proven
     state.time[0] += duration

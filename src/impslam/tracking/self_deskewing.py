@@ -35,7 +35,7 @@ def writable(motions: Motions, sweeps: Sweeps) -> Sweeps:
 
 
 def with_stamps(motions: Motions, sweeps: Sweeps, moved: Array) -> Sweeps:
-    """Return sweeps with the motions from their middles to their stamps, where odometry tells none.
+    """Return sweeps with the motions from their middles to their stamps, where odometry measures none.
 
     `moved` (m, 3) are the tracked motions from the middle of the previous sweep to that of each. Between a
     middle and a stamp, the velocity may differ from it as much as from sweep to sweep.

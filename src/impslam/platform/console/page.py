@@ -86,7 +86,7 @@ class Page:
         return hint
 
     def _beat(self) -> None:
-        """Send a beat, and update what is urgent."""
+        """Send the heartbeat of the link, and update the state that cannot wait."""
         if not self._viewer.session.alive():
             self._end()
             return

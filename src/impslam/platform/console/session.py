@@ -12,9 +12,7 @@ from typing import Literal
 
 Right = Literal["watch", "drive"]
 
-IDLE_TIMEOUT = (
-    30 * 60.0
-)  # s without a request or a message: longer than a pause, shorter than a lunch
+IDLE_TIMEOUT = 30 * 60.0  # s without a request or a message; longer than a pause in driving
 LIFETIME = 12 * 3600.0  # s since the login: one working day
 
 

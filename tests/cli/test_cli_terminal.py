@@ -62,7 +62,6 @@ def in_terminal(
 @pytest.mark.parametrize(
     "words",
     [
-        ("demo", "-o", "{new}"),
         ("run", "{log}", "-o", "{new}"),
         ("inspect", "{log}"),
         ("simulate", "room", "-o", "{new}.mcap"),
@@ -97,6 +96,7 @@ def test_quick_commands_work_in_a_terminal(
 
 
 def test_ctrl_c_prints_one_line_and_restores_the_cursor(tmp_path: Path) -> None:
+    """In the demo, whose bars are those of `simulate` and `run`."""
     code, said = in_terminal("demo", "-o", tmp_path / "run", typed={"simulating": "\x03"})
     assert code == 130
     assert "Traceback" not in said

@@ -312,6 +312,24 @@ def test_a_session_elsewhere_is_not_located(lap):
     assert np.all(made.settle().placed == (np.arange(len(revisions)) < len(lap)))
 
 
+OTHER_FLOOR = np.concatenate([
+    RING, *SHELVES,
+    box(0.4, 10.0, 0.8, 2.0), box(2.1, 7.0, 0.8, 1.5), box(0.4, 4.5, 0.8, 1.2),
+])  # fmt: skip
+"""With other things along the corridors in the north and in the west."""
+
+
+@pytest.mark.parametrize(("floor", "joined"), [(RING, True), (OTHER_FLOOR, False)])
+def test_a_session_is_not_joined_where_its_earlier_drive_contradicts_the_map(lap, floor, joined):
+    """The drive ends in corridors that are equal on both floors."""
+    made = begun(AGAIN[0])
+    there = keyframes(floor, way(*LAP[2:], *LAP[1:3]))
+    there = [replace(f, id=f.id + len(lap), lost=f.id == 0) for f in there]
+    revisions = driven(made, [*lap, *there])
+    assert np.all(revisions[-1].placed) == joined
+    assert made.counts()["sessions not found"] == (0 if joined else 1)
+
+
 def test_a_frozen_map_stays_and_the_drive_through_it_does_not_drift(lap):
     known = replace(mapped(begun(AGAIN[0]), lap), landmark_covariance=np.eye(2))
     drift = keyframes(RING, TRUTH, drift=(0.0, 0.0, 0.004), rng=np.random.default_rng(5))

@@ -26,6 +26,7 @@ from impslam.estimators.loop_closing import (
 from impslam.estimators.pose_graph import PoseGraph
 from impslam.estimators.session_finder import SessionFinder
 from impslam.geometry.se2 import between, compose
+from impslam.recognition.beams import MAX_MISFIT
 from impslam.recognition.correlative import Window
 from impslam.types import Array
 
@@ -130,7 +131,22 @@ class SessionPlacer:
         if guess is not None and guess.hinted:
             return True
         required = MIN_EXPECTED_CLOSURES if new is expected else self._required()
-        return len(self._closures) >= required
+        if len(self._closures) < required:
+            return False
+        if self._is_refuted(node, keys, graph):
+            self._closures = []
+        return bool(self._closures)
+
+    def _is_refuted(self, node: int, keys: KeyframeLog, graph: PoseGraph) -> bool:
+        """Return whether the drive so far does not fit the map at the place of the newest closure.
+
+        The longer a robot drives on another floor, the likelier are some places in a row that look alike.
+        Where odometry connects the session to the map, what covered the lidar would count as well.
+        """
+        if self._is_linked(int(graph.roots[node]), graph):
+            return False
+        row, pose = int(keys.nodes[node]), _placed(self._closures[-1], graph)
+        return self._finder.misfit(row, pose, keys) > MAX_MISFIT
 
     def _verified(
         self,

@@ -20,7 +20,7 @@ from impslam.errors import ImpError
 from impslam.geometry.angles import wrap
 from impslam.geometry.se2 import between, compose, motion_lengths
 from impslam.map import Keyframes, Map
-from impslam.recognition.beams import explain
+from impslam.recognition.beams import MAX_MISFIT, explain
 from impslam.recognition.consistency import Relation, consistent
 from impslam.recognition.correlative import spread_order
 from impslam.recognition.relocalisation import Query, Relocaliser, Verdict, query
@@ -46,9 +46,6 @@ settled map is more accurate, but an unsettled one is bent by that much."""
 MAX_LEVER = 30.0
 """m from the nearest agreeing stretch within which scans are compared with the first map: farther away,
 `BEND` puts a beam's end more than 0.3 m off, where it no longer counts as near its wall."""
-MAX_MISFIT = 0.15
-"""Share of beams that contradict the first map. It was 1 to 11 % for maps of one recorded or simulated
-building, some with furniture moved, and 19 to 24 % for floors with equal corridors and other rooms."""
 
 Progress = Callable[[float], None]
 """Called with the completed share, 0 to 1."""
@@ -159,8 +156,8 @@ def _verified(
         link = found.links[int(np.argmin(apart))]
         start = compose(link.pose, between(poses[link.row], poses[row]))
         seen = explain(relocaliser.ground, stretch.beams, relocaliser.align(stretch, start))
-        against += seen.through + seen.short
-        compared += 1.0 - seen.unknown
+        against += seen.contradicting
+        compared += seen.known
     misfit = against / compared if compared else 0.0
     outcome = RelationStatus.FOUND if misfit <= MAX_MISFIT else RelationStatus.AMBIGUOUS
     return found._replace(outcome=outcome, misfit=misfit)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import errno
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -17,6 +18,7 @@ from impslam.evaluation.tum import read_tum
 from impslam.graph.g2o import read_g2o
 from impslam.imported_map import read_grid
 from impslam.map import Map
+from impslam.observers.map_files import MAP_FILES
 from impslam.run import run
 
 
@@ -75,6 +77,31 @@ def test_export_writes_what_other_programs_read(imp, office, tmp_path) -> None:
     assert "health" not in header  # a map does not contain it
     assert len(read_g2o(folder / "graph.g2o").edges.i) == 19
     assert read_grid(folder / "map.yaml").resolution == 0.1
+
+
+def test_an_export_that_fails_leaves_the_earlier_one(imp, office, tmp_path, monkeypatch) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    folder = tmp_path / "out"
+    assert imp("map", "export", office, "-o", folder).code == 0
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    monkeypatch.setattr("impslam.observers.map_files.write_map", full)
+    for output in (folder, tmp_path / "new"):
+        said = imp("map", "export", office, "-o", output, "--resolution", "0.1")
+        assert said.code == 2
+        assert f"{output}: cannot be written (No space" in said.err
+        assert said.err.count("\n") == 1
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+    assert not (tmp_path / "new").exists()
+
+
+def test_an_export_removes_what_a_killed_one_left(imp, office, tmp_path) -> None:
+    folder = tmp_path / "out"
+    (folder / ".part").mkdir(parents=True)
+    (folder / ".part" / "trajectory.csv").write_text("half a li")
+    assert imp("map", "export", office, "-o", folder).code == 0
+    assert {path.name for path in folder.iterdir()} == MAP_FILES
 
 
 POST, MOVED = np.array([[-6.0, -0.6, 0.15]]), np.array([[5.0, 0.3, 0.15]])

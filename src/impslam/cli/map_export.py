@@ -40,10 +40,8 @@ def export(
     quiet = common is not None and common.quiet
     with progress_line("exporting", quiet):
         known = Map.load(file)
-        image = map_image(known.grid(resolution))
-        result_folder(output, MAP_FILES)
-        with written(output, "give another -o"):
-            write_map_files(output, known, image)
+        with result_folder(output, MAP_FILES) as folder, written(output, "give another -o"):
+            write_map_files(folder, known, map_image(known.grid(resolution)))
     if not quiet:
         for path in sorted(output.iterdir()):
             console.echo(str(path))

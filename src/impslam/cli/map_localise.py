@@ -46,31 +46,31 @@ def localise(  # noqa: PLR0913  # each is an option that a user may give
     """
     from impslam.cli.job import all_settings
     from impslam.cli.map_work import progress_line, result_folder
-    from impslam.cli.output_files import write_bytes, write_json
+    from impslam.cli.output_files import json_text
     from impslam.cli.run_folder import log_stem
     from impslam.localisation import localise as located
     from impslam.map import Map
     from impslam.maps.files import map_image
     from impslam.observers.places_picture import places_png
-    from impslam.paths import keep_inputs
+    from impslam.paths import keep_inputs, written
 
     quiet = common is not None and common.quiet
     changes = all_settings(settings, topics)
     folder = output or Path("runs") / f"{log_stem(log)}-places-{time.strftime('%Y%m%d-%H%M%S')}"
     keep_inputs([file, log], [folder / one for one in FILES])
     known = Map.load(file)
-    with progress_line("localising", quiet) as progress:
+    with progress_line("localising", quiet) as progress, result_folder(folder, FILES) as part:
         found = list(
             located(
                 known, log, config, changes, every=every,
                 progress=lambda position, total: progress(position / total) if total else None,
             )
         )  # fmt: skip
-        result_folder(folder, FILES)
-        write_bytes(folder / CSV, _table(found).encode())
-        write_bytes(folder / PICTURE, places_png(map_image(known.grid()), found))
         facts = _facts(found)
-        write_json(folder / SUMMARY, facts)
+        with written(folder, "give another -o"):
+            (part / CSV).write_text(_table(found), "utf-8")
+            (part / PICTURE).write_bytes(places_png(map_image(known.grid()), found))
+            (part / SUMMARY).write_text(f"{json_text(facts)}\n", "utf-8")
     if not quiet:
         _show(facts, folder)
 

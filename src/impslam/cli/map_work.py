@@ -5,12 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from shutil import rmtree
 from typing import Any
 
 from impslam.cli.progress import display
 from impslam.errors import ConfigError
 from impslam.maps.archive import is_map
 from impslam.paths import keep_inputs, written
+
+_PART = ".part"
+"""Folder of files that are not complete yet."""
 
 
 class Progress:
@@ -50,24 +54,44 @@ def check_map_path(path: Path, inputs: Sequence[Path]) -> None:
         raise ConfigError(f"{path}: exists and is not a map; give another -o")
 
 
-def result_folder(folder: Path, files: frozenset[str]) -> Path:
-    """Create a folder for these files if needed, delete existing ones, and return it.
+@contextmanager
+def result_folder(folder: Path, files: frozenset[str]) -> Iterator[Path]:
+    """Yield an empty folder for some of these files; they replace those in `folder` if the block succeeds.
+
+    If it fails, `folder` is as before. The yielded folder is inside it, because `folder` may be a mount
+    point or the current folder. One left by a killed process is removed.
 
     Raises
     ------
     ConfigError
-        If it contains anything else.
+        If `folder` contains anything else.
     ImpError
-        If it cannot be created.
+        If it cannot be written to.
     """
-    with written(folder, "give another -o"):
-        folder.mkdir(parents=True, exist_ok=True)
-        existing = {path.name for path in folder.iterdir()}
-        if foreign := existing - files:
-            raise ConfigError(
-                f"{folder}: contains {min(foreign)!r}, which this command does not write; "
-                "give -o a new or empty folder"
-            )
-        for name in existing:
-            (folder / name).unlink()
-    return folder
+    part, is_new = folder / _PART, not folder.exists()
+    try:
+        with written(folder, "give another -o"):
+            folder.mkdir(parents=True, exist_ok=True)
+            _check_contents(folder, files | {_PART})
+            rmtree(part, ignore_errors=True)
+            part.mkdir()
+        yield part
+        with written(folder, "give another -o"):
+            for name in files:
+                if (part / name).exists():
+                    (part / name).replace(folder / name)
+                else:
+                    (folder / name).unlink(missing_ok=True)
+    except BaseException:
+        rmtree(folder if is_new else part, ignore_errors=True)
+        raise
+    part.rmdir()
+
+
+def _check_contents(folder: Path, files: frozenset[str]) -> None:
+    """Raise `ConfigError` if a folder contains anything but these files."""
+    if foreign := {path.name for path in folder.iterdir()} - files:
+        raise ConfigError(
+            f"{folder}: contains {min(foreign)!r}, which this command does not write; "
+            "give -o a new or empty folder"
+        )

@@ -9,9 +9,9 @@ from typing import NamedTuple
 
 from impslam.columns import Motions, Sweeps
 from impslam.config import Config
-from impslam.errors import SourceError
+from impslam.errors import ConfigError, SourceError
 from impslam.geometry.se2 import compose
-from impslam.map import Map
+from impslam.map import Map, check_map
 from impslam.open_log import open_log
 from impslam.recognition.relocalisation import Answer, Relocaliser
 from impslam.recognition.submap import view
@@ -62,6 +62,8 @@ def localise(
 
     Raises
     ------
+    ConfigError
+        If `known` is not a map, or `every` is not positive.
     SourceError
         If the log cannot be read, or contains no scan.
 
@@ -84,6 +86,9 @@ def localise(
     >>> {located.answer.verdict.value for located in found} <= {"found", "ambiguous"}
     True
     """
+    check_map("known", known)
+    if every < 1:
+        raise ConfigError(f"every = {every}: expected 1 or more")
     chosen, source = open_log(log, config, settings)
     relocaliser = Relocaliser(known.keyframes)
     count = -1

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from impslam.columns import Sweeps
 from impslam.component import shorten
-from impslam.errors import ImpError
+from impslam.errors import ConfigError, ImpError
 from impslam.geometry.chain import advance
 from impslam.geometry.kernels import kernel, read_only
 from impslam.geometry.se2 import compose, inverse
@@ -437,6 +437,14 @@ class Map:
         if not isinstance(path, str | Path):
             raise ImpError(f"path = {shorten(path)}: expected the path of a map's file")
         return archive.load(Path(path), layout.layout, _built)
+
+
+def check_map(name: str, value: object) -> None:
+    """Raise `ConfigError` with the argument's name unless a value is a `Map`."""
+    if not isinstance(value, Map):
+        raise ConfigError(
+            f"{name} = {shorten(value)}: expected a Map; Map.load reads one from a file"
+        )
 
 
 def _built(arrays: archive.Arrays, about: dict[str, Any]) -> Map:

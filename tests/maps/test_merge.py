@@ -7,6 +7,7 @@ from tests.maps.drawn import mapped
 from tests.numeric import wrapped
 from tests.recognition.plans import OFFICE, way
 
+from impslam.errors import ConfigError
 from impslam.map import Map
 from impslam.maps.merge import NotMergedError, merged
 
@@ -80,3 +81,8 @@ def test_nothing_is_changed_where_nothing_is_merged():
     (one,) = drives(LEFT)
     assert merged(one) is not None
     np.testing.assert_array_equal(merged(one).keyframes.poses, one.keyframes.poses)
+
+
+def test_what_is_no_map_is_named():
+    with pytest.raises(ConfigError, match=r"map 2 = 'b\.imp': expected a Map"):
+        merged(mapped(OFFICE, way(-6.0, -0.5, 6.0, 0.2, 3)), "b.imp")

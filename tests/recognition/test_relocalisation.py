@@ -8,6 +8,7 @@ from tests.extractors.scans import room
 from tests.recognition.halls import LASER, mapped, seen
 from tests.recognition.plans import OFFICE, walls, way
 
+from impslam.errors import ConfigError, ShapeError
 from impslam.geometry.angles import wrap
 from impslam.geometry.se2 import between, compose
 from impslam.recognition.drive import DriveRelocaliser
@@ -158,3 +159,22 @@ def test_scans_with_uncertain_motions_are_not_joined(office):
 def test_poses_are_those_of_base_link(office):
     turned = compose(np.array([-6.2, -0.1, 0.0]), np.array([0.0, 0.0, math.pi / 2]))
     assert_at(office.find(view(seen(OFFICE, turned))).hypotheses[0].pose, turned)
+
+
+@pytest.mark.parametrize(
+    ("points", "laser", "why"),
+    [
+        (np.zeros((50, 3)), (0.0, 0.0), "points has shape"),
+        (np.full((50, 2), np.inf), (0.0, 0.0), "leave out beams without a range"),
+        (np.ones((50, 2)), (0.0, 0.0, 0.0), "laser has shape"),
+        ("scan", (0.0, 0.0), "points: 'scan'"),
+    ],
+)
+def test_unusable_scans_are_refused(office, points, laser, why):
+    with pytest.raises(ShapeError, match=why):
+        office.locate(points, laser)
+
+
+def test_what_is_no_keyframes_is_refused():
+    with pytest.raises(ConfigError, match=r"'map\.imp': expected the keyframes of a Map"):
+        Relocaliser("map.imp")

@@ -16,7 +16,7 @@ from impslam.config import Config, load
 from impslam.continuing import logs_of
 from impslam.errors import ImpError
 from impslam.estimators.graph import Graph
-from impslam.map import Map
+from impslam.map import Map, check_map
 from impslam.map_builder import blended
 from impslam.maps.joining import joined
 from impslam.maps.relation import MapRelation, RelationStatus, align_maps
@@ -47,6 +47,8 @@ def merged(first: Map, *others: Map, progress: Progress = lambda what, share: No
     ------
     NotMergedError
         If the relative pose of one of them cannot be determined.
+    ConfigError
+        If one of them is not a `Map`, such as the path of its file.
 
     Examples
     --------
@@ -71,6 +73,8 @@ def merged(first: Map, *others: Map, progress: Progress = lambda what, share: No
     >>> len(both.stamps) == len(maps[0].stamps) + len(maps[1].stamps)
     True
     """
+    for which, one in enumerate((first, *others), 1):
+        check_map(f"map {which}", one)
     config = load("default")
     known, waiting = _with_graph(first, config), dict(enumerate(others, 1))
     while waiting:

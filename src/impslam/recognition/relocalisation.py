@@ -15,8 +15,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from impslam.component import shorten
+from impslam.errors import ConfigError, ShapeError
 from impslam.geometry.angles import wrap
 from impslam.geometry.se2 import compose, transform
+from impslam.given_arrays import finite, numeric
 from impslam.map import Keyframes
 from impslam.recognition.beams import Beams, Explanation, explain
 from impslam.recognition.everywhere import search_everywhere
@@ -136,6 +139,8 @@ class Relocaliser:
     """
 
     def __init__(self, keyframes: Keyframes) -> None:
+        if not isinstance(keyframes, Keyframes):
+            raise ConfigError(f"{shorten(keyframes)}: expected the keyframes of a Map")
         self.ground = make_ground(keyframes, stored_views(keyframes))
 
     def locate(
@@ -143,11 +148,18 @@ class Relocaliser:
     ) -> Answer:
         """Locate a scan, given the end points (n, 2) m of its beams, in beam order.
 
-        They are in base_link, and the lidar is at `laser` (2,) m there.
+        They are in base_link, and the lidar is at `laser` (2,) m there. Leave out beams without a range.
+
+        Raises
+        ------
+        ShapeError
+            If an argument has another shape, or is not finite.
         """
-        ends = np.asarray(points, np.float64)
+        ends = numeric("points", points)
         check_shape("points", ends, None, 2)
-        return self.find(points_view(ends, np.asarray(laser, np.float64)), near)
+        if not np.isfinite(ends).all():
+            raise ShapeError("points: some are not finite; leave out beams without a range")
+        return self.find(points_view(ends, finite("laser", laser, 2)), near)
 
     def find(self, view: View, near: Near | None = None) -> Answer:
         """Locate a scan."""

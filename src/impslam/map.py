@@ -84,6 +84,8 @@ class Keyframe:
         which is not part of the map until it is located in it. `motion` is a guess, or NaN
     reason, amount : why the pose cannot be trusted, and the related distance or share; see
         `impslam.health`
+    reach : m, rad around the pose in which the robot may be at a place that looks the same, since nothing
+        covers a part of the motion; zeros if something does
     """
 
     id: int
@@ -100,6 +102,7 @@ class Keyframe:
     lost: bool = False
     reason: int = NONE
     amount: float = 0.0
+    reach: tuple[float, float] = (0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -89,6 +89,7 @@ class Steps(NamedTuple):
     located : (m,) whether the scan determines the position along both axes
     reasons, amounts : (m,) why its pose cannot be trusted, and the distance or share that goes with it;
         see `impslam.health`
+    reach : (m, 2) m, rad around the matched pose in which the robot may be; see `Keyframe`
     """
 
     d_pose: Array
@@ -99,6 +100,7 @@ class Steps(NamedTuple):
     located: Mask
     reasons: Reasons
     amounts: Array
+    reach: Array
 
 
 class _Tracked(NamedTuple):
@@ -296,6 +298,7 @@ class Tracker(Component):
             lost=reason == ELSEWHERE or (reason == CARRIED and self.matches_scans),
             reason=reason,
             amount=float(steps.amounts[row]),
+            reach=(float(steps.reach[row, 0]), float(steps.reach[row, 1])),
         )
 
 

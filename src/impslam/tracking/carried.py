@@ -55,3 +55,4 @@ def begin_place(state: State) -> None:
     state.submaps.travelled[:], state.lidar.added[:] = math.nan, math.nan
     state.places[0] += 1
     state.proven[0] = 0.0
+    state.reach[:] = 0.0

@@ -70,6 +70,8 @@ class State(NamedTuple):
     intervals : (3,) statistics of those by odometry; see `no_intervals`
     velocity : (3,) motion between the last two matches
     prior : (2,) variances of the predicted pose: m^2 along each axis, rad^2
+    reach : (2,) m, rad around the predicted pose in which the robot may be, after a gap that odometry does
+        not cover, until a scan is matched; else 0
     frozen : whether odometry is frozen
     unlocated : (1,) s since a scan last determined the velocity of a robot without odometry
     averages : (3,) running means of the inlier share, of the squared distance, m^2, and of the time
@@ -94,6 +96,7 @@ class State(NamedTuple):
     intervals: Array
     velocity: Array
     prior: Array
+    reach: Array
     frozen: FrozenOdometry
     unlocated: Array
     averages: Array

@@ -45,5 +45,5 @@ class OdometryTracker(Tracker):
         keyframes = mark_keyframes(checked.d_pose, motions.duration, reasons == CARRIED, gate)
         return Steps(
             checked.d_pose, checked.covariance, checked.d_pose, np.ones(m, np.bool_), keyframes,
-            np.zeros(m, np.bool_), reasons, amounts,
+            np.zeros(m, np.bool_), reasons, amounts, np.zeros((m, 2)),
         )  # fmt: skip

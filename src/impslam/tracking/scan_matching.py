@@ -51,6 +51,7 @@ from impslam.tracking.match_faults import (
 )
 from impslam.tracking.match_information import add_along, add_drift, information, remove_spurious
 from impslam.tracking.matching_state import ScanMatch, Settings, State
+from impslam.tracking.reach import is_after_gap, widen_after_gap
 from impslam.tracking.self_deskewing import deskew, set_twist
 from impslam.tracking.submaps import extend, is_empty, older_map
 from impslam.types import Array
@@ -96,6 +97,7 @@ def follow(
         at_limit = reaches_limit(gate, d_pose, motions.duration[k])
         in_doubt = state.faults.poor[0] > 0.0
         wanted = at_limit or no_odometry or in_doubt or state.proven[0] > 0.0
+        wanted |= state.reach[0] > 0.0
         if wanted or is_due(beams.ranges[k], beams.valid[k], state):
             _use_scan(k, no_odometry, motions, beams, state, settings, out)
         else:
@@ -103,6 +105,7 @@ def follow(
         between(before, state.pose, out.moved[k])
         at_limit = reaches_limit(gate, out.moved[k], motions.duration[k])
         at_limit |= notice_carried(beams, k, state, motions.duration[k], out)
+        at_limit |= out.reach[k, 0] > 0.0
         add_travel(gate, out.moved[k], motions.duration[k])
         add_interval(motions.duration[k], state.intervals, WINDOW)
         out.is_keyframe[k] = out.reference[k] and (at_limit or out.reasons[k] == ELSEWHERE)
@@ -196,6 +199,7 @@ def _predict(motions: Motions, k: int, state: State, d_pose: Array) -> bool:
     state.travelled[0] += math.hypot(d_pose[0], d_pose[1])
     state.travelled[1] += abs(d_pose[2])
     state.travelled[2] += motions.duration[k]
+    before = state.interval[0]
     state.interval[0], state.interval[1] = motions.duration[k], motions.stamps[k] - state.stamp[0]
     state.stamp[0] = motions.stamps[k]
     if not no_odometry:
@@ -203,6 +207,7 @@ def _predict(motions: Motions, k: int, state: State, d_pose: Array) -> bool:
     state.prior[0], state.prior[1] = position, heading
     advance_pose(state.pose, d_pose)
     advance(state.motion, state.covariance, d_pose, covariance)
+    widen_after_gap(state, before, no_odometry)
     return no_odometry
 
 
@@ -305,6 +310,8 @@ def _move(
     out.covariance[k] = rotate_covariance(covariance, -state.matched[2])
     disputed = disputed_variance(state.faults, odometry_motion, state.velocity)
     add_along(out.covariance[k], 0.0, disputed)
+    out.reach[k] = state.reach
+    state.reach[:] = 0.0
     state.submaps.travelled[0] += math.hypot(state.velocity[0], state.velocity[1])
     add_drift(state.velocity, settings.drift, out.covariance[k])
 
@@ -374,11 +381,7 @@ def _find_pose(features: Features, state: State, settings: Settings, H: Array, W
 def _predictions(state: State, prior: Array) -> PosePrediction:
     """Return the predicted poses of a scan; `prior` (3,) is the information of that by odometry."""
     pose, usual = state.pose.copy(), state.averages[0]
-    # If odometry was silent while scans determined the position, its whole motion comes at once.
-    seen = (
-        not is_gap(state.interval[1], state.intervals, WINDOW) and state.faults.unlocated[0] == 0.0
-    )
-    if is_gap(state.interval[0], state.intervals, WINDOW) and not seen:
+    if is_after_gap(state):
         return PosePrediction(pose, prior, pose, pose, usual)
     extrapolated = state.matched.copy()
     advance_pose(extrapolated, state.velocity)

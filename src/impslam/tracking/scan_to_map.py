@@ -85,6 +85,7 @@ class ScanToMap(Tracker):
             intervals=no_intervals(),
             velocity=np.zeros(3),
             prior=np.zeros(2),
+            reach=np.zeros(2),
             frozen=FrozenOdometry(np.zeros(1, np.bool_), np.zeros(1), np.zeros(1)),
             unlocated=np.zeros(1),
             averages=np.array([USUAL_SHARE, USUAL_RMS**2, 0.1]),
@@ -120,7 +121,7 @@ class ScanToMap(Tracker):
         reference, ends, located = np.zeros((3, m), np.bool_)
         out = Steps(
             np.empty((m, 3)), np.empty((m, 3, 3)), np.empty((m, 3)), reference, ends, located,
-            np.zeros(m, np.int8), np.zeros(m),
+            np.zeros(m, np.int8), np.zeros(m), np.zeros((m, 2)),
         )  # fmt: skip
         state = self._state._replace(lidar=lidar)
         follow(motions, beams, state, gate, self.settings(), out)

@@ -29,6 +29,7 @@ from impslam.estimators.map_scale import landmark_with_scale, with_scale
 from impslam.estimators.pose_graph import PoseGraph
 from impslam.estimators.restoring import restored
 from impslam.estimators.sessions import SessionPlacer
+from impslam.estimators.similar_places import in_doubt, looks_like_others
 from impslam.estimators.thinning import Thinner
 from impslam.geometry.chain import advance
 from impslam.geometry.se2 import compose, compose_uncertain
@@ -100,6 +101,8 @@ class Graph(Estimator):
     def add(self, keyframe: Keyframe) -> Revision:
         """Process a keyframe; see `Estimator.add`."""
         self._settled = self._final = None
+        if self._may_be_elsewhere(keyframe):
+            keyframe = in_doubt(keyframe)
         used, refused = _usable(keyframe)
         self._extend_chain(used, keyframe.motion)
         moved = False
@@ -129,6 +132,15 @@ class Graph(Estimator):
             placed=bool(self._graph.roots[-1] == 0),
             **facts,
         )
+
+    def _may_be_elsewhere(self, keyframe: Keyframe) -> bool:
+        """Return whether a keyframe may be at another place within its reach, if it has any."""
+        if keyframe.reach[0] == 0.0 or not is_finite(keyframe.motion) or not len(self._graph):
+            return False
+        if self._graph.roots[-1] != 0:  # the map cannot tell
+            return True
+        before = compose(self._graph.poses[-1], self._since[0])
+        return looks_like_others(before, keyframe, self._keys, self._graph)
 
     def _extend_chain(self, keyframe: Keyframe, tracked: Increment) -> None:
         """Extend the chain by a keyframe, or begin a session with it.

@@ -240,6 +240,10 @@ class LoopCloser:
         radius = min(s.least + s.drift * distance, s.most)
         return Window(radius, radius, min(s.least_turn + s.turn_drift * distance, s.most_turn))
 
+    def length(self, radius: float) -> float:
+        """Return the distance in m over which the possible drift is `radius` m."""
+        return max(radius - self._search.least, 0.0) / self._search.drift
+
     def _accept(self, new: PendingClosure, graph: PoseGraph, window: float) -> bool:
         """Add a closure and those that agree with it to the graph, or keep it pending."""
         if window <= SAFE_WINDOW:

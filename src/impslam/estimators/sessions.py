@@ -50,6 +50,11 @@ class _Break(NamedTuple):
     motion: Array
     covariance: Array
 
+    @property
+    def radius(self) -> float:
+        """Three standard deviations of the position after it, m."""
+        return 3.0 * math.sqrt(np.linalg.eigvalsh(self.covariance[:2, :2])[-1])
+
 
 class SessionPlacer:
     """Places one pending session after the other; `hint` is the approximate start of the first one."""
@@ -190,8 +195,8 @@ class SessionPlacer:
         return result
 
     def _is_linked(self, root: int, graph: PoseGraph) -> bool:
-        """Return whether odometry connects a session to the map."""
-        begins = {gap.node for gap in self._breaks}
+        """Return whether odometry tells where a session is in the map, to `SAME_PLACE`."""
+        begins = {gap.node for gap in self._breaks if gap.radius < SAME_PLACE[0]}
         while root in begins:
             root = int(graph.roots[root - 1])
         return root == 0
@@ -200,7 +205,7 @@ class SessionPlacer:
         """Return how many closures place a session elsewhere than odometry does."""
         against = sum(one.contradicts for one in self._compared)
         agreeing = sum(_distinct_closure(one) is not None for one in self._compared)
-        if against > agreeing or not self._breaks:
+        if against > agreeing or not self._compared:
             return MIN_CLOSURES
         return math.inf if agreeing else MIN_SURPRISING_CLOSURES
 
@@ -226,7 +231,8 @@ class SessionPlacer:
         """Join sessions by the motions from odometry, robustly: wrong ones have little weight."""
         for gap in self._breaks:
             information = np.asarray(np.linalg.inv(gap.covariance))
-            graph.close(gap.node - 1, gap.node, gap.motion, information, BREAK_LENGTH)
+            length = max(BREAK_LENGTH, self._closer.length(gap.radius))
+            graph.close(gap.node - 1, gap.node, gap.motion, information, length)
         self._breaks, self._compared, self._closures = [], [], []
 
 

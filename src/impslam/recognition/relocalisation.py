@@ -184,9 +184,13 @@ class Relocaliser:
     def _evaluate(self, scans: Query, starts: Sequence[Array]) -> list[tuple[Explanation, Array]]:
         """Return the distinct places (3,) after alignment with their scores, best first."""
         poses = [self.align(scans, start) for start in starts]
-        explained = [(explain(self.ground, scans.beams, pose), pose) for pose in poses]
+        explained = [(self.explain(scans, pose), pose) for pose in poses]
         explained.sort(key=lambda each: -each[0].score)
         return list(_distinct(explained))
+
+    def explain(self, scans: Query, pose: Array) -> Explanation:
+        """Return how well the map explains scans at a pose (3,)."""
+        return explain(self.ground, scans.beams, pose)
 
     def align(self, scans: Query, start: Array) -> Array:
         """Return the pose (3,) after alignment of scans with the map's surfaces from a start."""

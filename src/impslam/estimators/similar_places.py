@@ -1,0 +1,95 @@
+"""Whether a scan may show another place than that of the estimate, after an interval that nothing covers.
+
+After a gap in the data, the robot may be anywhere within what it can have driven. Matching begins at the
+predicted pose, and takes the place that fits there. The map then tells whether another place within reach
+explains the scan as well, such as the next room of a hotel.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from impslam.estimators.base import MIN_SIGMA
+from impslam.estimators.keyframe_log import KeyframeLog, revised
+from impslam.estimators.pose_graph import PoseGraph
+from impslam.geometry.angles import wrap
+from impslam.geometry.se2 import between, compose
+from impslam.health import ELSEWHERE
+from impslam.map import Keyframe
+from impslam.recognition.beams import Explanation
+from impslam.recognition.submap import view
+from impslam.types import Array
+
+if TYPE_CHECKING:
+    from impslam.recognition.relocalisation import Relocaliser
+
+REACH_SIGMAS = 3.0
+"""Standard deviations of a position or heading in a keyframe's reach."""
+MAX_DISTANCE2 = 16.3
+"""Squared Mahalanobis distance with three degrees of freedom, 99.9 %: nearer places are within the
+covariance of the estimate, as along a bare corridor."""
+MIN_SHIFT = 0.5
+"""m between the estimate and another place; nearer ones are the same, aligned a little differently."""
+MIN_ODDS = 0.02
+"""Odds of another place against that of the estimate: one in fifty, as in `relocalisation.FOUND_ODDS`."""
+
+
+def looks_like_others(
+    before: Array, keyframe: Keyframe, keys: KeyframeLog, graph: PoseGraph
+) -> bool:
+    """Return whether a new keyframe fits the map at another place within its reach as well.
+
+    `before` (3,) is the pose of the keyframe before it in the map.
+    """
+    from impslam.recognition.relocalisation import (  # noqa: PLC0415  few runs need it
+        EVIDENCE,
+        Near,
+        query,
+    )
+
+    if keyframe.scan is None:
+        return False
+    motion, (radius, turn) = keyframe.motion, keyframe.reach
+    pose = compose(before, motion.d_pose)
+    scans = query([view(keyframe.scan)], np.zeros((1, 3)))
+    finder = _surroundings(pose, radius, keys, graph)
+    here, information = (
+        finder.align(scans, pose),
+        np.linalg.inv(motion.covariance + MIN_SIGMA**2 * np.eye(3)),
+    )
+    least = _score(finder.explain(scans, here)) + math.log(MIN_ODDS) / EVIDENCE
+    for place in finder.find_query(scans, Near(pose, radius)).hypotheses:
+        off = between(before, place.pose) - motion.d_pose
+        off[2] = wrap(off[2])
+        is_other = off @ information @ off > MAX_DISTANCE2 and abs(off[2]) <= turn
+        is_other &= math.dist(place.pose[:2], here[:2]) >= MIN_SHIFT
+        if is_other and _score(finder.explain(scans, place.pose)) > least:
+            return True
+    return False
+
+
+def in_doubt(keyframe: Keyframe) -> Keyframe:
+    """Return a keyframe that begins a session, with a motion as uncertain as its reach."""
+    sigmas = np.array(keyframe.reach)[[0, 0, 1]] / REACH_SIGMAS
+    covariance = keyframe.motion.covariance + np.diag(sigmas**2)
+    motion = replace(keyframe.motion, covariance=covariance)
+    return replace(keyframe, motion=motion, lost=True, reason=ELSEWHERE)
+
+
+def _score(explanation: Explanation) -> float:
+    """Return the mean score of the beams that end where the map has been seen: new ground says nothing."""
+    return explanation.score / max(1.0 - explanation.unknown, 1e-9)
+
+
+def _surroundings(pose: Array, reach: float, keys: KeyframeLog, graph: PoseGraph) -> Relocaliser:
+    """Return a finder in the part of the map that is visible from within `reach` m of a pose (3,)."""
+    from impslam.recognition.relocalisation import MAX_RANGE, Relocaliser  # noqa: PLC0415
+
+    poses = revised(keys, graph)
+    near = np.hypot(*(poses[:, :2] - pose[:2]).T) <= reach + MAX_RANGE
+    near &= keys.has_view & (graph.roots[keys.node_before] == 0)
+    return Relocaliser(keys.keyframes(poses, np.flatnonzero(near)))

@@ -299,6 +299,26 @@ def test_odometry_that_the_map_contradicts_does_not_join_a_session(comparisons, 
     assert placer._may_assume_odometry(int(nodes[-1]), keys) == assumed
 
 
+@pytest.mark.parametrize(
+    ("guess", "place"), [(10.3, 10.3), (4.0, 7.4), (7.6, 7.4)], ids=["nearer", "farther", "same"]
+)
+def test_of_two_places_that_look_the_same_the_one_near_odometry_is_expected(guess, place):
+    """Odometry has the node at 10 m; the window around it also contains the next room, at 7.4 m."""
+    graph, at = begun()._graph, np.array([7.4, 0.0, 0.0])
+    for x in (0.0, 10.0):
+        graph.add_root(np.array([x, 0.0, 0.0]), np.eye(3))
+
+    def closure(pose):
+        found = compared(0.0, True).closure
+        return found._replace(closure=found.closure._replace(pose=pose))
+
+    closer = LoopCloser(LoopSearch())
+    closer.compare = lambda _node, pose, *_: Comparison(0.0, closure(pose))
+    placer, pose = SessionPlacer(closer), np.array([guess, 0.0, 0.0])
+    nearer = placer._nearer(1, pose, closure(at), None, graph)
+    assert nearer.closure.pose[0] == place
+
+
 def test_a_session_elsewhere_is_not_located(lap):
     """What is seen in another building is nowhere in the map."""
     other = room(0.0, 9.0, 0.0, 7.0)

@@ -123,6 +123,8 @@ class SessionPlacer:
         """
         guess = self._finder.find(node, keys, graph)
         expected = _distinct_closure(self._compare_odometry(node, keys, graph))
+        if guess is not None and expected is not None:
+            expected = self._nearer(node, guess.pose, expected, keys, graph)
         new = expected
         if guess is not None and guess.likely:
             new = self._verified(node, guess.pose, expected, keys, graph)
@@ -164,11 +166,28 @@ class SessionPlacer:
         """Return the closure at a likely pose (3,); None if the map agrees with odometry at another one."""
         if expected is not None:
             return expected if _is_same_place(_placed(expected, graph), pose) else None
-        window = self._closer.window(0.0)
-        closure = self._closer.compare(node, pose, window, keys, graph).closure
+        closure = self._closer.compare(node, pose, self._closer.window(0.0), keys, graph).closure
         if closure is None or not (closure.is_strong and closure.closure.has_position):
             return None
         return closure
+
+    def _nearer(
+        self,
+        node: int,
+        pose: Array,
+        expected: PendingClosure,
+        keys: KeyframeLog,
+        graph: PoseGraph,
+    ) -> PendingClosure | None:
+        """Return the closure at a guessed pose (3,) if that is nearer to odometry's than `expected` is.
+
+        After some metres, the window around odometry's place contains several places that look the same.
+        """
+        odometry, found = graph.poses[node], _placed(expected, graph)
+        if _is_same_place(found, pose) or _distance(odometry, found) < _distance(odometry, pose):
+            return expected
+        window = self._closer.window(0.0)
+        return _distinct_closure(self._closer.compare(node, pose, window, keys, graph))
 
     def _is_at(self, pose: Array, node: int, graph: PoseGraph) -> bool:
         """Return whether a pose (3,) of a node is where the closures so far place it."""
@@ -248,6 +267,11 @@ def _distinct_closure(comparison: Comparison | None) -> PendingClosure | None:
 def _placed(closure: PendingClosure, graph: PoseGraph) -> Array:
     """Return the pose (3,) in the map of a closure's node j."""
     return compose(graph.poses[closure.i], closure.closure.pose)
+
+
+def _distance(one: Array, other: Array) -> float:
+    """Return the distance in m between two poses (3,)."""
+    return math.dist(one[:2], other[:2])
 
 
 def _is_same_place(one: Array, other: Array) -> bool:

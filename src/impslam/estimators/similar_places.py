@@ -57,10 +57,8 @@ def looks_like_others(
     pose = compose(before, motion.d_pose)
     scans = query([view(keyframe.scan)], np.zeros((1, 3)))
     finder = _surroundings(pose, radius, keys, graph)
-    here, information = (
-        finder.align(scans, pose),
-        np.linalg.inv(motion.covariance + MIN_SIGMA**2 * np.eye(3)),
-    )
+    here = finder.align(scans, pose)
+    information = np.linalg.inv(motion.covariance + MIN_SIGMA**2 * np.eye(3))
     least = _score(finder.explain(scans, here)) + math.log(MIN_ODDS) / EVIDENCE
     for place in finder.find_query(scans, Near(pose, radius)).hypotheses:
         off = between(before, place.pose) - motion.d_pose

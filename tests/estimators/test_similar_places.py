@@ -1,15 +1,17 @@
 """After a gap in the data, a keyframe is placed only if no other place within reach looks the same."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from tests.estimators.drives import LAP, RING, begun, driven, keyframes, scanned, way
+from tests.estimators.test_sessions import compared
 from tests.extractors.scans import room
 from tests.recognition.plans import walls
 
 from impslam.estimators.loop_closing import LoopCloser, LoopSearch
-from impslam.estimators.sessions import SessionPlacer
+from impslam.estimators.sessions import MIN_CLOSURES, SessionPlacer
 
 ROOMS, WIDTH = 15, 4.0  # m from one room of the hotel to the next
 HOTEL = np.concatenate([
@@ -75,10 +77,12 @@ def test_new_ground_speaks_for_no_place():
     assert placed_after(frames, len(truth), REACH) == [True]
 
 
-@pytest.mark.parametrize(("sigma", "linked"), [(0.2, True), (1.0, False)])
-def test_odometry_that_leaves_doubt_does_not_confirm_its_place(sigma, linked):
-    placer, graph = SessionPlacer(LoopCloser(LoopSearch())), begun()._graph
-    for _ in range(2):
-        graph.add_root(np.zeros(3), np.eye(3))
-    placer.begin(1, (np.zeros(3), np.diag([sigma, sigma, 0.1]) ** 2))
-    assert placer._is_linked(1, graph) is linked
+@pytest.mark.parametrize(
+    ("sigma", "required"), [(0.2, math.inf), (1.0, MIN_CLOSURES)], ids=["precise", "vague"]
+)
+def test_odometry_that_leaves_doubt_does_not_exclude_another_place(sigma, required):
+    """The map agrees with its place, but that may be a similar one."""
+    placer = SessionPlacer(LoopCloser(LoopSearch()))
+    placer.begin(9, (np.zeros(3), np.diag([sigma, sigma, 0.1]) ** 2))
+    placer._compared = [compared(0.0, True)]
+    assert placer._required() == required

@@ -72,6 +72,11 @@ class SessionPlacer:
         """Whether nodes are placed by odometry alone, and no earlier place is recognised since."""
         return self._assumed is not None
 
+    @property
+    def _is_vague(self) -> bool:
+        """Whether odometry does not tell the place to `SAME_PLACE`; scans may fit a similar one there."""
+        return any(gap.radius >= SAME_PLACE[0] for gap in self._breaks)
+
     def begin(self, node: int, motion: tuple[Array, Array] | None) -> None:
         """Begin a session at a node.
 
@@ -122,7 +127,8 @@ class SessionPlacer:
         a user gave, one closure is enough.
         """
         guess = self._finder.find(node, keys, graph)
-        expected = _distinct_closure(self._compare_odometry(node, keys, graph))
+        comparison = self._compare_odometry(node, keys, graph)
+        expected = None if self._is_vague else _distinct_closure(comparison)
         if guess is not None and expected is not None:
             expected = self._nearer(node, guess.pose, expected, keys, graph)
         new = expected
@@ -214,8 +220,8 @@ class SessionPlacer:
         return result
 
     def _is_linked(self, root: int, graph: PoseGraph) -> bool:
-        """Return whether odometry tells where a session is in the map, to `SAME_PLACE`."""
-        begins = {gap.node for gap in self._breaks if gap.radius < SAME_PLACE[0]}
+        """Return whether odometry connects a session to the map."""
+        begins = {gap.node for gap in self._breaks}
         while root in begins:
             root = int(graph.roots[root - 1])
         return root == 0
@@ -224,7 +230,7 @@ class SessionPlacer:
         """Return how many closures place a session elsewhere than odometry does."""
         against = sum(one.contradicts for one in self._compared)
         agreeing = sum(_distinct_closure(one) is not None for one in self._compared)
-        if against > agreeing or not self._compared:
+        if against > agreeing or not self._breaks or self._is_vague:
             return MIN_CLOSURES
         return math.inf if agreeing else MIN_SURPRISING_CLOSURES
 

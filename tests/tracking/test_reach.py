@@ -77,6 +77,15 @@ def test_without_odometry_the_robot_may_have_gone_on_at_its_speed(step, expected
     assert not out.reach[:50].any()
 
 
+def test_a_gap_after_the_first_scan_has_no_speed_before_it():
+    poses = straight(5)
+    unknown = np.diag([UNKNOWN, UNKNOWN, 10.0])
+    increments = [replace(i, d_pose=np.zeros(3), covariance=unknown) for i in odometry_of(poses)]
+    increments[0] = replace(increments[0], duration=0.0)
+    increments[1] = replace(increments[1], duration=8.0)
+    assert not drive(poses, increments, scans_from(poses))[1].reach.any()
+
+
 def test_odometry_that_comes_late_is_covered_by_scans():
     """It is silent for 3 s, while the scans show where the robot goes."""
     poses = circle(80)

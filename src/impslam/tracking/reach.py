@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 
 from impslam.geometry.kernels import kernel
+from impslam.tracking.frozen import MIN_SECONDS
 from impslam.tracking.fusion import RATE_SIGMA
 from impslam.tracking.hypotheses import MAX_SLIP, SLIP_SIGMAS
 from impslam.tracking.intervals import is_gap
@@ -40,7 +41,7 @@ def widen_after_gap(state: State, before: float, no_odometry: bool) -> None:
     seconds = state.interval[0]
     if no_odometry:
         distance = math.hypot(state.velocity[0], state.velocity[1])
-        speed = distance / max(before, state.intervals[1])
+        speed = distance / max(before, state.intervals[1], MIN_SECONDS)
         position = 0.5 * (speed * seconds / SLIP_SIGMAS) ** 2
         heading = (RATE_SIGMA * seconds) ** 2
     else:

@@ -11,8 +11,9 @@ from tests.recognition.plans import OFFICE, walls, way
 from impslam.errors import ConfigError, ShapeError
 from impslam.geometry.angles import wrap
 from impslam.geometry.se2 import between, compose
+from impslam.recognition.beams import Explanation
 from impslam.recognition.drive import DriveRelocaliser
-from impslam.recognition.relocalisation import Near, Relocaliser, Verdict
+from impslam.recognition.relocalisation import Near, Relocaliser, Verdict, answer
 from impslam.recognition.stored import stored_views
 from impslam.recognition.submap import view
 
@@ -178,3 +179,14 @@ def test_unusable_scans_are_refused(office, points, laser, why):
 def test_what_is_no_keyframes_is_refused():
     with pytest.raises(ConfigError, match=r"'map\.imp': expected the keyframes of a Map"):
         Relocaliser("map.imp")
+
+
+@pytest.mark.parametrize(("unknown", "verdict"), [(0.0, Verdict.FOUND), (0.08, Verdict.AMBIGUOUS)])
+def test_a_twin_that_is_mapped_in_part_is_not_excluded(unknown, verdict):
+    """Its score is lower only because the map does not show what some beams end on."""
+    places = np.array([[8.2, 20.4, -1.7], [7.3, 12.1, 1.4]])
+    whole = Explanation(0.92, 0.98, 0.02, 0.0, 0.0)
+    part = Explanation(0.73, 0.84, 0.08 - unknown, 0.08, unknown)
+    told = answer([(whole, places[0]), (part, places[1])], 0.4, complete=True)
+    assert told.verdict == verdict
+    assert told.hypotheses[0].odds >= told.hypotheses[1].odds

@@ -229,11 +229,14 @@ def answer(
 ) -> Answer:
     """Return hypotheses with odds and the verdict, from distinct places, best first.
 
-    `elsewhere` is the score that counts for all places outside the map.
+    `elsewhere` is the score that counts for all places outside the map. The other places count as if
+    the map showed as much of them as of the best one, and beams ended on walls there.
     """
     if not explained:
         return Answer(Verdict.NOWHERE if complete else Verdict.AMBIGUOUS, ())
-    scores = np.array([elsewhere, *(e.score for e, _ in explained)])
+    best = explained[0][0]
+    others = (e.score + max(e.unknown - best.unknown, 0.0) for e, _ in explained[1:])
+    scores = np.array([elsewhere, best.score, *(min(score, best.score) for score in others)])
     weights = np.exp(EVIDENCE * (scores - scores.max()))
     odds = weights / weights.sum()
     hypotheses = tuple(

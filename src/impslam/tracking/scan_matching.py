@@ -19,7 +19,6 @@ from impslam.geometry.kernels import kernel
 from impslam.health import ELSEWHERE, UNEXPLAINED
 from impslam.noise import UNKNOWN
 from impslam.surfaces.features import Features, leave_out_oblique
-from impslam.surfaces.surface_map import Alignment, align
 from impslam.tracking.base import Gate, Steps, add_travel, reaches_limit
 from impslam.tracking.beams import BeamColumns, find_beam_features
 from impslam.tracking.carried import begin_place, notice_carried
@@ -27,15 +26,7 @@ from impslam.tracking.contradictions import MIN_CONTRADICTED, contradicted_share
 from impslam.tracking.due import is_due
 from impslam.tracking.frozen import notice_frozen, remains_frozen
 from impslam.tracking.fusion import MAX_COAST, RATE_SIGMA, SPEED_SIGMA, coast, fuse
-from impslam.tracking.hypotheses import (
-    MAX_SLIP,
-    SLIP_SIGMAS,
-    PosePrediction,
-    align_from_predictions,
-    chi2_of,
-    is_expected,
-    search,
-)
+from impslam.tracking.hypotheses import MAX_SLIP, SLIP_SIGMAS
 from impslam.tracking.intervals import add_interval, is_gap
 from impslam.tracking.learned_odometry import correct, learn, variances
 from impslam.tracking.match_faults import (
@@ -51,32 +42,25 @@ from impslam.tracking.match_faults import (
 )
 from impslam.tracking.match_information import add_along, add_drift, information, remove_spurious
 from impslam.tracking.matching_state import ScanMatch, Settings, State
-from impslam.tracking.reach import is_after_gap, widen_after_gap
+from impslam.tracking.pose_search import SEARCH_BELOW, USUAL_SHARE, find_pose
+from impslam.tracking.reach import widen_after_gap
 from impslam.tracking.self_deskewing import deskew, set_twist
 from impslam.tracking.submaps import extend, is_empty, older_map
 from impslam.types import Array
 
 MIN_POINTS = 10
 """Points; a scan with fewer is not matched."""
-MIN_SLIP = (0.1, 0.025)
-"""m, rad: a smaller difference from odometry is no slip, however certain odometry is."""
 TURN_CHANGES = (0.0, 1.0, -1.0, 2.0, -2.0)
 """Multiples of `RATE_SIGMA` by which the turn rate may have changed since the last sweep."""
-SEARCH_BELOW = 0.7
-"""Share of the mean inlier share below which the pose is searched for."""
 MAX_LOCATED_SIGMA = 0.02
 """m, 1 sigma: a scan locates the robot if it alone determines the position better than this, or better than
 odometry does."""
 MIN_INFORMATION_RATIO = 0.05
 """Smallest ratio of the information along the weakest and the strongest axis: a twentieth of the points
 face along a corridor whose end is in view; fewer are lone points that may be anywhere."""
-USUAL_SHARE = 0.8
-"""Inlier share of scans indoors; below, information falls with its fourth power: people, bushes, a ramp."""
-USUAL_RMS = 0.02
-"""m, root mean square distance from the surfaces indoors; above, information falls with its square."""
-MEMORY = 0.3, 0.2, 0.01
-"""Weights of the newest scan in the running means of inlier share, of squared distance, and of the time
-between sweeps without odometry."""
+MEMORY = 0.3, 0.01
+"""Weights of the newest scan in the running means of the inlier share, and of the time between sweeps
+without odometry."""
 
 
 @kernel
@@ -168,7 +152,7 @@ def _deskew(
             return
         state.pose[:] = state.matched
         advance_pose(state.pose, trial)
-        share = _find_pose(features[:count], state, settings, np.empty((3, 3)), np.empty(3))
+        share = find_pose(features[:count], state, settings, np.empty((3, 3)), np.empty(3))
         if share > best:
             best = share
             between(state.matched, state.pose, motion)
@@ -188,7 +172,7 @@ def _predict(motions: Motions, k: int, state: State, d_pose: Array) -> bool:
     covariance = motions.covariance[k].copy()
     if no_odometry:
         seconds = min(motions.duration[k], MAX_COAST)
-        state.averages[2] += MEMORY[2] * (seconds - state.averages[2])
+        state.averages[2] += MEMORY[1] * (seconds - state.averages[2])
         seconds = max(seconds, state.averages[2])
         d_pose[:], covariance[:] = state.velocity, 0.0
         position, heading = (SPEED_SIGMA * seconds + 0.01) ** 2, (RATE_SIGMA * seconds + 0.01) ** 2
@@ -262,7 +246,7 @@ def _match(
         return
     guess, means = state.pose.copy(), state.averages.copy()
     usual, H, W = means[0], np.empty((3, 3)), np.empty(3)
-    share = _find_pose(features, state, settings, H, W)
+    share = find_pose(features, state, settings, H, W)
     if no_odometry:
         remove_spurious(H)
     off = np.empty(3)
@@ -343,46 +327,3 @@ def _learn(state: State, match: ScanMatch, located: bool) -> None:
     plausible = plausible and abs(fit.off[0]) < 4.0 * math.sqrt(state.prior[0])
     quality = min(1.0, state.averages[0] / USUAL_SHARE) ** 4
     learn(state.odometry, state.motion, fit.off, plausible, state.pose, quality, (located, turned))
-
-
-@kernel
-def _find_pose(features: Features, state: State, settings: Settings, H: Array, W: Array) -> float:
-    """Move the pose to the best fit of the scan; return the inlier share.
-
-    H (3, 3) becomes the information of the scan, W (3,) that of the prior with its robust weight there,
-    both in the frame of the submaps.
-    """
-    submap, usual = older_map(state.submaps), state.averages[0]
-    position, heading = state.prior[0], state.prior[1]
-    prior = np.array([1.0 / position, 1.0 / position, 1.0 / heading])
-    slack2 = max(SLIP_SIGMAS**2, min(MIN_SLIP[0] ** 2 / position, MIN_SLIP[1] ** 2 / heading))
-    weight = settings.match.information * min(1.0, max(usual, 0.05) / USUAL_SHARE) ** 4
-    weight *= min(1.0, USUAL_RMS**2 / state.averages[1])
-    how = settings.match
-    match = Alignment(how.iterations, how.wide, how.narrow, weight, how.step, slack2)
-    predicted = _predictions(state, prior)
-    share = align(submap, features, state.pose, prior, match, state.evidence)
-    if not is_expected(state.pose, predicted):
-        share = align_from_predictions(
-            submap, features, predicted, match, state.pose, state.evidence
-        )
-    if state.evidence.sums[3] > 5.0:
-        square = state.evidence.sums[2] / state.evidence.sums[3]
-        state.averages[1] += MEMORY[1] * (square - state.averages[1])
-    if share < SEARCH_BELOW * usual:
-        share = search(submap, features, predicted, match, state.pose, state.evidence)
-    chi2 = chi2_of(state.pose, predicted)
-    H[:] = weight * state.evidence.H
-    W[:] = prior / (1.0 + chi2 / slack2)
-    return share
-
-
-@kernel
-def _predictions(state: State, prior: Array) -> PosePrediction:
-    """Return the predicted poses of a scan; `prior` (3,) is the information of that by odometry."""
-    pose, usual = state.pose.copy(), state.averages[0]
-    if is_after_gap(state):
-        return PosePrediction(pose, prior, pose, pose, usual)
-    extrapolated = state.matched.copy()
-    advance_pose(extrapolated, state.velocity)
-    return PosePrediction(pose, prior, state.matched, extrapolated, usual)

@@ -24,7 +24,8 @@ from impslam.tracking.matching_state import (
     State,
 )
 from impslam.tracking.per_lidar import PerLidar
-from impslam.tracking.scan_matching import USUAL_RMS, USUAL_SHARE, follow
+from impslam.tracking.pose_search import USUAL_RMS, USUAL_SHARE
+from impslam.tracking.scan_matching import follow
 from impslam.tracking.submaps import empty_submaps
 
 

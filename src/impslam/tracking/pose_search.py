@@ -1,0 +1,76 @@
+"""Find the pose of a scan in the submaps, from odometry and from other predictions."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from impslam.geometry.chain import advance_pose
+from impslam.geometry.kernels import kernel
+from impslam.surfaces.features import Features
+from impslam.surfaces.surface_map import Alignment, align
+from impslam.tracking.hypotheses import (
+    SLIP_SIGMAS,
+    PosePrediction,
+    align_from_predictions,
+    chi2_of,
+    is_expected,
+    search,
+)
+from impslam.tracking.matching_state import Settings, State
+from impslam.tracking.reach import is_after_gap
+from impslam.tracking.submaps import older_map
+from impslam.types import Array
+
+MIN_SLIP = (0.1, 0.025)
+"""m, rad: a smaller difference from odometry is no slip, however certain odometry is."""
+SEARCH_BELOW = 0.7
+"""Share of the mean inlier share below which the pose is searched for."""
+USUAL_SHARE = 0.8
+"""Inlier share of scans indoors; below, information falls with its fourth power: people, bushes, a ramp."""
+USUAL_RMS = 0.02
+"""m, root mean square distance from the surfaces indoors; above, information falls with its square."""
+RMS_MEMORY = 0.2
+"""Weight of the newest scan in the running mean of the squared distance."""
+
+
+@kernel
+def find_pose(features: Features, state: State, settings: Settings, H: Array, W: Array) -> float:
+    """Move the pose to the best fit of the scan; return the inlier share.
+
+    H (3, 3) becomes the information of the scan, W (3,) that of the prior with its robust weight there,
+    both in the frame of the submaps.
+    """
+    submap, usual = older_map(state.submaps), state.averages[0]
+    position, heading = state.prior[0], state.prior[1]
+    prior = np.array([1.0 / position, 1.0 / position, 1.0 / heading])
+    slack2 = max(SLIP_SIGMAS**2, min(MIN_SLIP[0] ** 2 / position, MIN_SLIP[1] ** 2 / heading))
+    weight = settings.match.information * min(1.0, max(usual, 0.05) / USUAL_SHARE) ** 4
+    weight *= min(1.0, USUAL_RMS**2 / state.averages[1])
+    how = settings.match
+    match = Alignment(how.iterations, how.wide, how.narrow, weight, how.step, slack2)
+    predicted = _predictions(state, prior)
+    share = align(submap, features, state.pose, prior, match, state.evidence)
+    if not is_expected(state.pose, predicted):
+        share = align_from_predictions(
+            submap, features, predicted, match, state.pose, state.evidence
+        )
+    if state.evidence.sums[3] > 5.0:
+        square = state.evidence.sums[2] / state.evidence.sums[3]
+        state.averages[1] += RMS_MEMORY * (square - state.averages[1])
+    if share < SEARCH_BELOW * usual:
+        share = search(submap, features, predicted, match, state.pose, state.evidence)
+    chi2 = chi2_of(state.pose, predicted)
+    H[:] = weight * state.evidence.H
+    W[:] = prior / (1.0 + chi2 / slack2)
+    return share
+
+
+@kernel
+def _predictions(state: State, prior: Array) -> PosePrediction:
+    """Return the predicted poses of a scan; `prior` (3,) is the information of that by odometry."""
+    pose, usual = state.pose.copy(), state.averages[0]
+    if is_after_gap(state):
+        return PosePrediction(pose, prior, pose, pose, usual)
+    extrapolated = state.matched.copy()
+    advance_pose(extrapolated, state.velocity)
+    return PosePrediction(pose, prior, state.matched, extrapolated, usual)

@@ -55,6 +55,15 @@ def wait_for_scans(process: subprocess.Popen[str], folder: Path, scans: int = 20
         time.sleep(0.01)
 
 
+def end(process: subprocess.Popen[str], number: signal.Signals, within: float) -> str:
+    """Send a signal, check that it ends the process within so many seconds; return stderr."""
+    begin = time.monotonic()
+    process.send_signal(number)
+    _, err = process.communicate()
+    assert time.monotonic() - begin < within
+    return err
+
+
 def check_partial(folder: Path, log: Path, reason: str) -> Map:
     """Check that a folder holds all files of a part of the log, each of which says so."""
     assert {p.name for p in folder.iterdir()} >= WRITTEN
@@ -108,10 +117,7 @@ bar.RunBar._advance = lambda self, scans: None
     folder = tmp_path / "run"
     with started("run", room, "-o", folder, "--quiet", more=slow) as process:
         assert "settling\n" in process.stdout
-        begin = time.monotonic()
-        process.send_signal(signal.SIGTERM)
-        _, err = process.communicate()
-    assert time.monotonic() - begin < 10.0
+        err = end(process, signal.SIGTERM, 10.0)
     assert process.returncode == 143
     assert err == f"imp: terminated; {folder} contains the map up to here, marked as partial\n"
     known = Map.load(folder / "map.imp")
@@ -142,10 +148,7 @@ def test_a_second_signal_stops_at_once(room, tmp_path) -> None:
         wait_for_scans(process, folder)
         process.send_signal(signal.SIGINT)
         assert "writing\n" in process.stdout
-        begin = time.monotonic()
-        process.send_signal(signal.SIGINT)
-        _, err = process.communicate()
-    assert time.monotonic() - begin < 5.0
+        err = end(process, signal.SIGINT, 5.0)
     assert process.returncode == 130
     assert err == f"imp: interrupted; {folder} contains trajectory.live.tum, truth.tum\n"
     assert len(read_tum(folder / "trajectory.live.tum")) >= 20

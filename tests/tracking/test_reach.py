@@ -13,10 +13,10 @@ from tests.tracking.test_scan_to_map import (
     drive,
     odometry_of,
     scans_from,
+    silent,
     straight,
 )
 
-from impslam.geometry.se2 import between
 from impslam.noise import UNKNOWN
 from impslam.types import Increment
 
@@ -89,9 +89,5 @@ def test_a_gap_after_the_first_scan_has_no_speed_before_it():
 def test_odometry_that_comes_late_is_covered_by_scans():
     """It is silent for 3 s, while the scans show where the robot goes."""
     poses = circle(80)
-    increments = odometry_of(poses)
-    for k in range(30, 60):
-        increments[k] = Increment(increments[k].stamp, np.zeros(3), 0.0 * NOISE, 0.0)
-    missed = between(poses[29], poses[60])
-    increments[60] = Increment(6.0, missed, NOISE + PATH_UNKNOWN, 3.1)
+    increments = silent(poses, NOISE + PATH_UNKNOWN)
     assert not drive(poses, increments, scans_from(poses))[1].reach.any()

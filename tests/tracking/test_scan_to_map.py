@@ -260,6 +260,16 @@ def frozen(poses, first, last):
     ]
 
 
+def silent(poses, covariance=NOISE):
+    """Return motions of odometry that is silent for 3 s, and then gives the whole motion at once."""
+    increments = odometry_of(poses)
+    for k in range(30, 60):
+        increments[k] = Increment(increments[k].stamp, np.zeros(3), 0.0 * NOISE, 0.0)
+    missed = between(poses[29], poses[60])
+    increments[60] = Increment(6.0, missed, covariance, 3.1)
+    return increments
+
+
 def test_a_robot_whose_odometry_freezes_goes_on_through_a_bare_corridor(rng):
     """The scans show that it moves up to the last pillar; there is nothing to see on the next 3 m."""
     poses = straight(200, start=(-4.0, 0.1, 0.0))

@@ -64,6 +64,10 @@ class PathRows(NamedTuple):
     odometry: Array
 
 
+REACH_SIGMAS = 3.0
+"""Standard deviations of position and heading in the `reach` of a keyframe."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Keyframe:
     """A sweep for the estimator: the motion since the previous keyframe, and the observations.
@@ -84,8 +88,8 @@ class Keyframe:
         which is not part of the map until it is located in it. `motion` is a guess, or NaN
     reason, amount : why the pose cannot be trusted, and the related distance or share; see
         `impslam.health`
-    reach : m, rad around the pose in which the robot may be at a place that looks the same, since nothing
-        covers a part of the motion; zeros if something does
+    reach : m, rad around the pose in which the robot may be after a gap in the data that odometry does not
+        cover: `REACH_SIGMAS` standard deviations; zeros otherwise
     """
 
     id: int

@@ -90,7 +90,6 @@ class SessionFinder:
         The drive is followed back from keyframe `row`, which is at a pose (3,), until it leaves the map.
         Each stretch is aligned with the map, so that drift does not add up. NaN if nothing can be compared.
         """
-        from impslam.recognition.beams import explain  # noqa: PLC0415
         from impslam.recognition.relocalisation import query  # noqa: PLC0415
 
         if self._map is None:
@@ -101,7 +100,7 @@ class SessionFinder:
             row = rows[-1]
             scans = query([view for k in rows if (view := keys.views[k])], keys.chain[rows])
             pose = self._map.align(scans, pose)
-            seen = explain(self._map.ground, scans.beams, pose)
+            seen = self._map.explain(scans, pose)
             against, known = against + seen.contradicting, known + seen.known
             if seen.known < MIN_KNOWN:
                 break

@@ -19,7 +19,7 @@ from impslam.estimators.pose_graph import PoseGraph
 from impslam.geometry.angles import wrap
 from impslam.geometry.se2 import between, compose
 from impslam.health import ELSEWHERE
-from impslam.map import Keyframe
+from impslam.map import REACH_SIGMAS, Keyframe
 from impslam.recognition.beams import Explanation
 from impslam.recognition.submap import view
 from impslam.types import Array
@@ -27,15 +27,11 @@ from impslam.types import Array
 if TYPE_CHECKING:
     from impslam.recognition.relocalisation import Relocaliser
 
-REACH_SIGMAS = 3.0
-"""Standard deviations of a position or heading in a keyframe's reach."""
 MAX_DISTANCE2 = 16.3
 """Squared Mahalanobis distance with three degrees of freedom, 99.9 %: nearer places are within the
 covariance of the estimate, as along a bare corridor."""
 MIN_SHIFT = 0.5
 """m between the estimate and another place; nearer ones are the same, aligned a little differently."""
-MIN_ODDS = 0.02
-"""Odds of another place against that of the estimate: one in fifty, as in `relocalisation.FOUND_ODDS`."""
 
 
 def looks_like_others(
@@ -43,10 +39,12 @@ def looks_like_others(
 ) -> bool:
     """Return whether a new keyframe fits the map at another place within its reach as well.
 
-    `before` (3,) is the pose of the keyframe before it in the map.
+    Another place counts from the odds at which relocalisation calls a place ambiguous. `before` (3,) is
+    the pose of the keyframe before it in the map.
     """
     from impslam.recognition.relocalisation import (  # noqa: PLC0415  few runs need it
         EVIDENCE,
+        FOUND_ODDS,
         Near,
         query,
     )
@@ -59,7 +57,7 @@ def looks_like_others(
     finder = _surroundings(pose, radius, keys, graph)
     here = finder.align(scans, pose)
     information = np.linalg.inv(motion.covariance + MIN_SIGMA**2 * np.eye(3))
-    least = _score(finder.explain(scans, here)) + math.log(MIN_ODDS) / EVIDENCE
+    least = _score(finder.explain(scans, here)) + math.log(1.0 - FOUND_ODDS) / EVIDENCE
     for place in finder.find_query(scans, Near(pose, radius)).hypotheses:
         off = between(before, place.pose) - motion.d_pose
         off[2] = wrap(off[2])

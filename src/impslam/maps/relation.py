@@ -20,7 +20,7 @@ from impslam.errors import ImpError
 from impslam.geometry.angles import wrap
 from impslam.geometry.se2 import between, compose, motion_lengths
 from impslam.map import Keyframes, Map
-from impslam.recognition.beams import MAX_MISFIT, explain
+from impslam.recognition.beams import MAX_MISFIT
 from impslam.recognition.consistency import Relation, consistent
 from impslam.recognition.correlative import spread_order
 from impslam.recognition.relocalisation import Query, Relocaliser, Verdict, query
@@ -155,7 +155,7 @@ def _verified(
             continue
         link = found.links[int(np.argmin(apart))]
         start = compose(link.pose, between(poses[link.row], poses[row]))
-        seen = explain(relocaliser.ground, stretch.beams, relocaliser.align(stretch, start))
+        seen = relocaliser.explain(stretch, relocaliser.align(stretch, start))
         against += seen.contradicting
         compared += seen.known
     misfit = against / compared if compared else 0.0

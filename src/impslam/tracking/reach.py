@@ -9,9 +9,10 @@ from __future__ import annotations
 import math
 
 from impslam.geometry.kernels import kernel
+from impslam.map import REACH_SIGMAS
 from impslam.tracking.frozen import MIN_SECONDS
 from impslam.tracking.fusion import RATE_SIGMA
-from impslam.tracking.hypotheses import MAX_SLIP, SLIP_SIGMAS
+from impslam.tracking.hypotheses import MAX_SLIP
 from impslam.tracking.intervals import is_gap
 from impslam.tracking.match_faults import WINDOW
 from impslam.tracking.matching_state import State
@@ -42,14 +43,14 @@ def widen_after_gap(state: State, before: float, no_odometry: bool) -> None:
     if no_odometry:
         distance = math.hypot(state.velocity[0], state.velocity[1])
         speed = distance / max(before, state.intervals[1], MIN_SECONDS)
-        position = 0.5 * (speed * seconds / SLIP_SIGMAS) ** 2
+        position = 0.5 * (speed * seconds / REACH_SIGMAS) ** 2
         heading = (RATE_SIGMA * seconds) ** 2
     else:
         position = 0.5 * (state.covariance[0, 0] + state.covariance[1, 1])
         heading = state.covariance[2, 2]
-    reach = SLIP_SIGMAS * math.sqrt(2.0 * position)
+    reach = REACH_SIGMAS * math.sqrt(2.0 * position)
     if reach > MAX_SLIP[0]:
         state.reach[0] = reach
-        state.reach[1] = min(SLIP_SIGMAS * math.sqrt(heading), math.pi)
+        state.reach[1] = min(REACH_SIGMAS * math.sqrt(heading), math.pi)
         state.prior[0] = max(state.prior[0], position)
         state.prior[1] = max(state.prior[1], heading)

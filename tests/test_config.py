@@ -249,6 +249,10 @@ def test_plug_ins_are_a_list(value):
         ("sensors.lidar.extractors.walls.kind=slit_merge", "did you mean 'split_merge'?"),
         ("sensors.lidar.extractors.walls=true", "sensors"),
         ("odometry.noise.sidewards=1", "did you mean 'sideways'?"),
+        ("sensors.lidar.sigma=true", "sensors.lidar.sigma = True: must be a number, not true or"),
+        ("sensors.lidar.mount=[true, 0, 0]", "must be a number, not true or false"),
+        ("seed=true", "seed = True: must be a number"),
+        ("start=[0, false, 0]", "must be a number, not true or false"),
     ],
 )
 def test_mistakes_are_told_in_one_line(setting, said):
@@ -269,6 +273,39 @@ def test_missing_and_broken_files(tmp_path: Path):
     assert "not valid TOML" in refuse(base=broken)
     broken.write_bytes(b"\xff\xfe")
     assert "cannot be read" in refuse(base=broken)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (
+            "[sensors.lidar]\nsigmma = 1",
+            "sensors.lidar.sigmma is not a parameter; did you mean 'sigma'?",
+        ),
+        ("[sensors.lidar]\nsigma = true", "sensors.lidar.sigma = True: must be a number"),
+        ('[filter]\nkind = "ekff"', "filter.kind: no filter is called 'ekff'"),
+        ("[keyframes]\nangle = -1", "keyframes.angle = -1"),
+        ('plugins = ["gone.py"]', "plugins: "),
+    ],
+)
+def test_a_mistake_in_a_file_is_told_with_the_file(tmp_path: Path, text: str, said: str):
+    file, above = tmp_path / "mine.toml", tmp_path / "above.toml"
+    file.write_text(f'base = "imp"\n{text}\n')
+    above.write_text(f"base = '{file.as_posix()}'\nseed = 1\n")
+    assert refuse(base=file).startswith(f"{file}: {said}")
+    assert refuse(base=above).startswith(f"{file}: {said}")  # the file that has it
+
+
+def test_a_mistake_in_a_setting_is_not_the_files(tmp_path: Path):
+    file = tmp_path / "mine.toml"
+    file.write_text('base = "imp"\n')
+    assert refuse("seed=-1", base=file).startswith("seed = -1: ")
+
+
+def test_a_base_that_is_missing_is_told_with_the_file_that_names_it(tmp_path: Path):
+    file = tmp_path / "mine.toml"
+    file.write_text('base = "gone.toml"\n')
+    assert refuse(base=file).startswith(f"{file}: base = 'gone.toml': neither a file nor a preset")
 
 
 def test_a_file_that_is_its_own_base(tmp_path: Path):

@@ -128,7 +128,7 @@ def test_a_command_ends_in_one_line(tmp_path, capsys):
     )
     assert main(["config", str(tmp_path / "mine.toml")]) == 2
     said = capsys.readouterr().err
-    assert said.startswith("imp: error: odometry 'former'")
+    assert said.startswith(f"imp: error: {tmp_path / 'mine.toml'}: odometry 'former'")
     assert said.count("\n") == 1
 
 

@@ -282,13 +282,21 @@ def build(role: str, table: Any, where: str = "") -> Any:
     rest = dict(table)
     if "kind" not in rest:
         raise ConfigError(f"[{where or role}] lacks 'kind'; known: {', '.join(components(role))}")
-    cls = find(role, str(rest.pop("kind")))
+    cls = _find_named(role, str(rest.pop("kind")), where or role)
     _check_complete(cls)
     try:
         return cls(**rest)
     except ValidationError as error:
         known = {**cls.model_fields, "kind": None}
         raise ConfigError(explain(error, where or role, known)) from None
+
+
+def _find_named(role: str, name: str, where: str) -> type[Component]:
+    """Return the component class that the table `where` names; errors say where."""
+    try:
+        return find(role, name)
+    except ConfigError as error:
+        raise ConfigError(f"{where}.kind: {error}") from None
 
 
 def _check_complete(cls: type[Component]) -> None:

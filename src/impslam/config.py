@@ -36,6 +36,7 @@ from impslam.map import Map
 from impslam.maps.grid import MAX_RESOLUTION, MIN_RESOLUTION
 from impslam.parameters import Parameters
 from impslam.paths import is_file, read_text
+from impslam.removed_parts import without_removed
 from impslam.robot import Robot
 from impslam.tracking.base import KeyframeGate, Tracker
 from impslam.types import Array
@@ -190,8 +191,13 @@ def presets() -> list[str]:
     )
 
 
-def read_table(name: str | Path, derived: tuple[str, ...] = ()) -> Table:
-    """Return the raw table of a preset (by name) or of a TOML file, merged with its `base`.
+def read_table(name: str | Path) -> Table:
+    """Return the raw table of a preset (by name) or of a TOML file, merged with its `base`."""
+    return _layers(name)[-1][1]
+
+
+def _layers(name: str | Path, derived: tuple[str, ...] = ()) -> list[tuple[str, Table]]:
+    """Return the names and merged tables of a preset or file, after those that it is based on.
 
     `derived` are the presets and files of which it is the base.
     """
@@ -203,12 +209,16 @@ def read_table(name: str | Path, derived: tuple[str, ...] = ()) -> Table:
     elif is_file(path):
         text = read_text(path, "check the file", ConfigError)
     else:
+        asked = f"{derived[-1]}: base = " if derived else ""
         hint = near_miss(str(name), presets())
-        raise ConfigError(f"{shorten(str(name))}: neither a file nor a preset; {hint}")
+        raise ConfigError(f"{asked}{shorten(str(name))}: neither a file nor a preset; {hint}")
     table = toml.parse(text, str(name))
     base = table.pop("base", None)
     table = _with_plugin_paths(table, path.parent)
-    return table if base is None else _override(read_table(str(base), (*derived, str(name))), table)
+    if base is None:
+        return [(str(name), table)]
+    below = _layers(str(base), (*derived, str(name)))
+    return [*below, (str(name), _override(below[-1][1], table))]
 
 
 def carried(preset: str, log: Path) -> Table:
@@ -326,9 +336,28 @@ def load(base: str | Path | Table = "default", settings: Sequence[str] = ()) -> 
     ConfigError
         One line with the key and what to do, e.g. the closest known key, or the bound.
     """
-    table = _merged(base, settings)
-    _refuse_none(table)
-    table = _without_none(table)
+    layers = _base_layers(base)
+    table = _with_settings(layers[-1][1], settings)
+    try:
+        return _checked(table)
+    except ConfigError as error:
+        raise ConfigError(_culprit(layers, str(error)) + str(error)) from error.__cause__
+
+
+def _culprit(layers: Sequence[tuple[str, Table]], said: str) -> str:
+    """Return "NAME: " for the first layer that is faulty in the same way without those above; else ""."""
+    for name, table in layers:
+        try:
+            _checked(table)
+        except ConfigError as error:
+            if name and str(error) == said:
+                return f"{name}: "
+    return ""
+
+
+def _checked(table: Table) -> Config:
+    """Return the config of a table; raise if it, or a component that it describes, is faulty."""
+    table = without_removed(table)
     _load_plugins(table)
     try:
         config = Config(**table)
@@ -346,28 +375,9 @@ def load(base: str | Path | Table = "default", settings: Sequence[str] = ()) -> 
     return config
 
 
-_WITHOUT = {
-    "odometry": "to map with the lidar alone, set odometry.kind=lidar_only",
-    "tracker": 'every run has one; use kind = "odometry"',
-    "estimator": 'every run has one; use kind = "landmarks"',
-    **dict.fromkeys(
-        ("association", "lifecycle", "filter"),
-        "leave it as it is; estimators that do not need it ignore it",
-    ),
-}
-"""What to write instead of `kind = "none"` for the parts of every run."""
-
-
-def _refuse_none(table: Table) -> None:
-    """Raise for parts that cannot be removed, and say what to write instead."""
-    for role, instead in _WITHOUT.items():
-        if isinstance(table.get(role), dict) and table[role].get("kind") == "none":
-            raise ConfigError(f'{role}.kind = "none": {instead}')
-
-
 def load_plugins(base: str | Path = "default", settings: Sequence[str] = ()) -> None:
     """Register the components of the plug-ins of a config, for use before `load`."""
-    _load_plugins(_merged(base, settings))
+    _load_plugins(_with_settings(_base_layers(base)[-1][1], settings))
 
 
 def _load_plugins(table: Table) -> None:
@@ -378,21 +388,16 @@ def _load_plugins(table: Table) -> None:
         load_plugin(place)
 
 
-def _merged(base: str | Path | Table, settings: Sequence[str]) -> Table:
+def _base_layers(base: str | Path | Table) -> list[tuple[str, Table]]:
+    """Return a table without a name, or the layers of a preset or file."""
     if not isinstance(base, str | Path | dict):
         raise ConfigError(f"config = {shorten(base)}: expected a preset's name or a file")
+    return [("", base)] if isinstance(base, dict) else _layers(base)
+
+
+def _with_settings(table: Table, settings: Sequence[str]) -> Table:
     if isinstance(settings, str) or not all(isinstance(one, str) for one in settings):
         raise ConfigError(f'settings = {shorten(settings)}: expected a list, e.g. ["seed=1"]')
-    table = base if isinstance(base, dict) else read_table(base)
     for setting in settings:
         table = _override(table, _with_plugin_paths(parse_setting(setting), Path()))
     return table
-
-
-def _without_none(table: Table) -> Table:
-    """Return the table without the sub-tables whose kind is "none"."""
-    return {
-        key: _without_none(value) if isinstance(value, dict) else value
-        for key, value in table.items()
-        if not (isinstance(value, dict) and value.get("kind") == "none")
-    }

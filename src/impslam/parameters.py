@@ -8,9 +8,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationInfo, field_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    JsonValue,
+    ValidationError,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
+from pydantic_core import InitErrorDetails, PydanticCustomError
 
 SIZES: dict[str, tuple[float, float]] = {
     "m": (1e-9, 1e6),  # some atoms; more than any planar map
@@ -33,6 +43,24 @@ class Parameters(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
+    @model_validator(mode="before")
+    @classmethod
+    def _check_no_booleans(cls, table: Any) -> Any:
+        """Raise for true and false where a number is expected, which Python would take for 1 and 0.
+
+        Not a validator of fields, because pydantic allows none for the one that names a member of a union.
+        """
+        for name in table if isinstance(table, dict) else ():
+            if name not in cls.model_fields:
+                continue
+            kinds = _simple_kinds(cls.model_fields[name].annotation)
+            is_number = bool not in kinds and not kinds.isdisjoint((float, int))
+            if is_number and any(isinstance(number, bool) for number in _numbers(table[name])):
+                wrong = PydanticCustomError("number_type", "must be a number, not true or false")
+                lines = [InitErrorDetails(type=wrong, loc=(name,), input=table[name])]
+                raise ValidationError.from_exception_data(cls.__name__, lines)
+        return table
+
     @field_validator("*")
     @classmethod
     def _check_magnitude(cls, value: Any, info: ValidationInfo) -> Any:
@@ -53,6 +81,12 @@ class Parameters(BaseModel):
             elif number and not low <= abs(number) <= high:
                 raise ValueError(f"must be 0, or {low:g} to {high:g} in size ({unit})")
         return value
+
+
+def _simple_kinds(annotation: Any) -> frozenset[Any]:
+    """Return the types of the values in an annotation, e.g. `float` of `tuple[float, float]`."""
+    inner = get_args(annotation)
+    return frozenset().union(*map(_simple_kinds, inner)) if inner else frozenset((annotation,))
 
 
 def _numbers(value: Any) -> Iterator[float | int]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import NamedTuple
@@ -9,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from impslam.columns import Columns, Motions, Scans, Sweeps
-from impslam.geometry.se2 import between, log
+from impslam.geometry.se2 import between, compose, exp, log
 from impslam.health import NONE
 from impslam.odometry.lidar_only import LidarOnly
 from impslam.robot import Robot
@@ -38,7 +39,7 @@ class LidarPath(NamedTuple):
     Attributes
     ----------
     middles : (n,) s, by the scans' own clock
-    poses : (n, 3) `T_first_laser`, as tracked
+    poses : (n, 3) `T_first_laser`, as tracked, without de-skewing: the order of the beams may be wrong
     trusted : (n,) whether the scan fits the previous ones, so that the pose may be used
     located : (n,) whether the scan also determines the position along both axes, and the turn: not in a
         bare corridor, nor in a round room
@@ -154,12 +155,56 @@ def twists(stamps: Array, poses: Array) -> Array:
     return log(between(poses[before], poses[after])) * rate[:, None]
 
 
+def undistorted(lidar: Lidar2D, scans: Sequence[Columns], path: LidarPath) -> LidarPath:
+    """Return a path without the errors that the motion during each sweep causes.
+
+    A point p that is measured t seconds after the middle of a sweep is off by t (v + omega x p) there. To
+    first order, this moves the match by the d that minimises the squares of n . (t (v + omega x p) - d),
+    with the normals n of the surfaces: if most of what determines the heading is measured early, the scan
+    is matched as if it had been taken earlier. Sweeps that overlap, by their stamps, stay as they are.
+    """
+    own, moved = unmounted(lidar), np.zeros_like(path.poses)
+    apart = np.gradient(path.middles) if len(path.middles) > 1 else np.zeros(len(path.middles))
+    for start, piece in _with_starts(scans):
+        begins, ends = own.spans(piece)
+        if not (ends > begins).any():
+            continue
+        raw = own.sweeps(piece, np.zeros((len(piece), 3)))
+        for k in np.flatnonzero(apart[start : start + len(piece)] > 0.5 * (ends - begins)).tolist():
+            moved[start + k] = _distortion(raw, k, path.twists[start + k])
+    poses = compose(path.poses, exp(-moved))
+    poses[:, 2] = path.poses[:, 2] - moved[:, 2]  # not wrapped
+    return path._replace(poses=poses)
+
+
+def _distortion(raw: Scans, k: int, twist: Array) -> Array:
+    """Return the twist (3,) m, m, rad by which the motion during sweep k moves its match."""
+    features, spacing = np.empty((len(raw.angles), 5), np.float32), beam_spacing(raw.angles)
+    count = find_features(
+        raw.points[k], raw.valid[k], raw.ranges[k], raw.origins[k], spacing, THIN, features
+    )
+    rows = features[:count][features[:count, 4] > 0.0].astype(np.float64)
+    if raw.after is None or not len(rows):
+        return np.zeros(3)
+    p, n = rows[:, :2], rows[:, 2:4]
+    t = np.interp(np.arctan2(p[:, 1], p[:, 0]), raw.angles, raw.after, period=math.tau)
+    J = np.column_stack((n, p[:, 0] * n[:, 1] - p[:, 1] * n[:, 0]))
+    return np.asarray(np.linalg.lstsq(J, t * (J @ twist), rcond=1e-6)[0], np.float64)
+
+
+def _with_starts(scans: Sequence[Columns]) -> Iterator[tuple[int, Columns]]:
+    """Yield each piece with the row of the path at which it begins."""
+    start = 0
+    for piece in scans:
+        yield start, piece
+        start += len(piece)
+
+
 def deskewed(lidar: Lidar2D, scans: Sequence[Columns], path: LidarPath, rows: Ints) -> list[Scans]:
     """Return the sweeps in these rows (increasing), each in the lidar's frame at its middle."""
-    own, out, start = unmounted(lidar), list[Scans](), 0
-    for piece in scans:
+    own, out = unmounted(lidar), list[Scans]()
+    for start, piece in _with_starts(scans):
         inside = rows[(rows >= start) & (rows < start + len(piece))]
         if len(inside):
             out.append(own.sweeps(piece.take(inside - start), path.twists[inside]))
-        start += len(piece)
     return out

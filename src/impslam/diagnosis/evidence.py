@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from impslam.calibration.lidar_path import LidarPath, lidar_path
+from impslam.calibration.lidar_path import LidarPath, lidar_path, undistorted
 from impslam.calibration.recording import CalibrationRows, lidars_of
 from impslam.columns import Columns
 from impslam.config import Config
@@ -102,7 +102,7 @@ def gather_evidence(config: Config, name: str, recording: CalibrationRows) -> Ev
         recording = in_file_order(recording)
     path = lidar_path(lidar, recording.scans)
     samples = beam_samples(lidar, recording.scans, path)
-    sweeps = sweep_motions(path)
+    sweeps = sweep_motions(undistorted(lidar, recording.scans, path))
     odometer = make_odometer(
         robot.odometry, recording.odometry if robot.odometry.measures_motion else ()
     )

@@ -168,6 +168,8 @@ def of_stamps() -> Iterator[Fault]:
         yield Fault(name, f"{s} s", (name,), change, unsmoothed=True)
     for s in (0.5, 60.0):
         yield Fault("sweep too long", f"{s:g} s", ("sweep too long",), partial(faults.sweep_of, s))
+    name, change = "sweep time wrong", partial(faults.sweep_of, 0.0)
+    yield Fault(name, "0 s", (name,), change, sweeps=True)
     name = "sweep reversed"
     yield Fault(name, "", (name,), faults.reversed_sweep, sweeps=True)
 

@@ -179,7 +179,7 @@ def test_every_component_resolves_and_loads_again(role, tmp_path: Path):
         resolved = load("imp", [f"{role}.kind={name}"]).resolved()
         file = tmp_path / "config.toml"
         file.write_text(tomli_w.dumps(resolved))
-        assert load(file).resolved() == resolved
+        assert tomli_w.dumps(load(file).resolved()) == tomli_w.dumps(resolved)  # some are nan
 
 
 def test_another_estimator_for_a_resolved_config_has_its_own_keyframes(tmp_path: Path):
@@ -332,8 +332,8 @@ def asks(preset: str) -> str:
 
 def test_a_log_may_carry_a_preset_or_a_config():
     assert load(carried("imp", Path("a.mcap"))) == load("imp")
-    table = load("imp", ["odometry.track=0.41"]).resolved()
-    assert load(carried(tomli_w.dumps(table), Path("a.mcap"))).resolved() == table
+    text = tomli_w.dumps(load("imp", ["odometry.track=0.41"]).resolved())
+    assert tomli_w.dumps(load(carried(text, Path("a.mcap"))).resolved()) == text
 
 
 def test_a_log_may_not_name_a_file(tmp_path: Path, monkeypatch):

@@ -92,6 +92,7 @@ CASES = {
         ("sensors.lidar.last_beam_first=true",),
         "sweep reversed",
     ),
+    "no time_increment": (faults.sweep_of(0.0), (), "sweep time wrong"),
     "standing": (faults.standing(), (), "odometry stands still"),
     "standing, with noise": (faults.exchanged(1e-4), (), "odometry stands still"),
     "track": (faults.nothing(), ("odometry.track=0.46",), "track"),
@@ -310,11 +311,38 @@ def test_a_reversed_sweep_is_found_whatever_the_lag(drive, late) -> None:
 
 
 @pytest.mark.parametrize(
-    "settings", [("sensors.lidar.deskew=false",), ("odometry.kind=lidar_only", MATCHED)]
+    ("change", "given", "fix"),
+    [
+        (faults.sweep_of(0.0), 0.0, (0.1, None)),
+        (faults.sweep_of(0.05), 0.05, (0.1, None)),
+        (faults.sweep_of(0.4), 0.4, (0.1, None)),
+        (faults.reversed_sweep(), 0.1, (None, "true")),
+    ],
 )
-def test_the_order_of_beams_is_not_looked_for_where_nothing_is_deskewed(drive, settings) -> None:
-    wrong = faults.faulty(drive, faults.reversed_sweep())
-    assert "sweep reversed" not in [one.kind for one in found(wrong, *settings)]
+@pytest.mark.parametrize("settings", [(), ("odometry.kind=lidar_only", MATCHED)])
+def test_the_duration_of_a_sweep_is_found_from_scans_alone(
+    slow_drive, change, given, fix, settings
+) -> None:
+    wrong = list(faults.faulty(slow_drive, change))
+    (problem,) = harm(wrong, *settings).values()
+    assert (f"{given:.3f} s" in problem.what) == (fix[0] is not None)
+    settable = dict(one.removeprefix("sensors.lidar.").split("=") for one in problem.fix)
+    assert settable.get("last_beam_first") == fix[1]
+    if fix[0] is not None:
+        assert float(settable["sweep_time"]) == pytest.approx(fix[0], abs=0.003)
+    assert harm(wrong, *settings, *problem.fix) == {}
+
+
+def test_a_sweep_time_of_the_config_that_is_wrong_is_named(drive) -> None:
+    (problem,) = harm(drive, "sensors.lidar.sweep_time=0").values()
+    assert "as sensors.lidar.sweep_time says" in problem.what
+
+
+def test_the_times_of_beams_are_not_looked_for_where_nothing_is_deskewed(drive) -> None:
+    for change in (faults.reversed_sweep(), faults.sweep_of(0.0)):
+        wrong = faults.faulty(drive, change)
+        kinds = [one.kind for one in found(wrong, "sensors.lidar.deskew=false")]
+        assert not {"sweep reversed", "sweep time wrong"} & {*kinds}
 
 
 def test_sweeps_without_turns_do_not_show_the_order_of_beams(drive) -> None:

@@ -111,6 +111,17 @@ def test_beams_of_a_turning_drive_end_on_the_walls(last_beam_first):
         assert np.median(wrong) > 1e-3
 
 
+@pytest.mark.parametrize("last_beam_first", [False, True])
+def test_a_given_sweep_time_stands_for_that_of_the_messages(last_beam_first):
+    twist, told = np.array([0.5, 0.0, 1.2]), sweep(np.linspace(1.0, 3.0, 40), rate=2e-3)
+    silent = replace(told, time_offsets=np.zeros(40))
+    lidar = Lidar2D(last_beam_first=last_beam_first, latency=0.01)
+    given = lidar.model_copy(update={"sweep_time": 39 * 2e-3})
+    expected, found = observe(lidar, told, twist), observe(given, silent, twist)
+    np.testing.assert_allclose(found.points, expected.points, atol=1e-12)
+    np.testing.assert_allclose(given.spans(stacked([silent])), lidar.spans(stacked([told])))
+
+
 def distances(scan, pose, scene):
     """Return the distances of some of the points of a scan from the world."""
     return np.array(
@@ -233,6 +244,7 @@ def test_an_observation_has_the_time_of_its_beams(last_beam_first, way):
         ({"range_max": -3.0}, "at least 0"),
         ({"range_min": -0.1}, "at least 0"),
         ({"range_min": 2.0, "range_max": 1.0}, "above range_min, 2"),
+        ({"sweep_time": -0.1}, "at least 0"),
     ],
 )
 def test_limits_that_no_range_can_keep_are_refused(limits, told):

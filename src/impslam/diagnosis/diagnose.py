@@ -9,7 +9,6 @@ from impslam.calibration.recording import lidars_of, record_batches
 from impslam.columns import Batch
 from impslam.config import Config
 from impslam.diagnosis.beams import check_beams
-from impslam.diagnosis.direction import check_direction
 from impslam.diagnosis.evidence import Evidence, confirmed, gather_evidence
 from impslam.diagnosis.finding import Finding, worst_health
 from impslam.diagnosis.handedness import check_handedness
@@ -19,7 +18,8 @@ from impslam.diagnosis.no_return import check_noise, check_value
 from impslam.diagnosis.odometry import check_odometry
 from impslam.diagnosis.presets import check_preset
 from impslam.diagnosis.scales import check_scales
-from impslam.diagnosis.stamps import check_clocks, check_overlap, check_stamps
+from impslam.diagnosis.stamps import check_clocks, check_stamps
+from impslam.diagnosis.sweep import check_overlap, check_times
 from impslam.diagnosis.units import check_pose_units, check_range_unit
 from impslam.diagnosis.wheels import check_wrap
 from impslam.health import Standing
@@ -40,7 +40,7 @@ LIDAR_ROOTS = (check_range_unit, check_noise, check_overlap, check_clocks)
 ODOMETRY_ROOTS = (check_wrap, check_pose_units, check_preset)
 """The faults of a lidar, and of odometry, that these find would cause findings of the other checks."""
 CHECKS = (
-    check_handedness, check_direction, check_stamps, check_odometry, check_scales, check_mount,
+    check_handedness, check_times, check_odometry, check_scales, check_mount,
     check_value, check_beams,
 )  # fmt: skip
 
@@ -96,12 +96,16 @@ def _first_roots(checks: Sequence[Check], e: Evidence) -> list[Finding]:
 
 
 def _checks(e: Evidence, is_quick: bool) -> Sequence[Check]:
-    """Return the checks of a lidar; the order of its beams takes half a second to check.
+    """Return the checks of a lidar; the times of its beams take half a second to check.
 
     A config that states the duration of a sweep was made for the driver that recorded the log.
     """
     is_known = is_quick and e.lidar.period != 0.0
-    return [check for check in CHECKS if check is not check_direction] if is_known else CHECKS
+    return (
+        [check_stamps if check is check_times else check for check in CHECKS]
+        if is_known
+        else CHECKS
+    )
 
 
 def initial_findings(config: Config, source: Source) -> list[Finding]:

@@ -1,35 +1,19 @@
-"""Check the stamps of scans: lag, jitter, and overlapping sweeps."""
+"""Check the stamps of scans: their lag and jitter, and whether they share their clock with odometry."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 
-from impslam.columns import Columns
 from impslam.diagnosis.evidence import Evidence
 from impslam.diagnosis.finding import Finding, is_off, probability_off
 from impslam.diagnosis.timing import MAX_LAG_ERROR
 from impslam.health import MISTIMED, Standing
 
-MAX_SWEEP_RATIO = 1.1
-"""Largest duration of a sweep, in median times between scans; drivers round."""
 QUEUE_LAG = 0.2
 """s: if scans are matched, only the stamps of the path are wrong. Drivers stamp a sweep or two late; more
 is a queue or another clock, and 10 cm at half a metre per second."""
-
-
-def check_overlap(e: Evidence) -> Iterator[Finding]:
-    """Find sweeps that last longer, by their beams' times, than the time between scans."""
-    sweep, period = _sweep(e.recording.scans), e.timing.period
-    if e.lidar.deskew and period and sweep > MAX_SWEEP_RATIO * period:
-        yield Finding(
-            "sweep too long",
-            f"a sweep takes {sweep:.3f} s by its beams' times, but scans come every {period:.3f} s",
-            (f"{e.lidar_key}.deskew=false",),
-            advice="time_increment in the log is wrong",
-            lidar=e.name,
-        )
 
 
 def check_clocks(e: Evidence) -> Iterator[Finding]:
@@ -53,17 +37,6 @@ def check_clocks(e: Evidence) -> Iterator[Finding]:
         health=Standing(MISTIMED, abs(late - e.lidar.latency)),
         lidar=e.name,
     )
-
-
-def _sweep(scans: Sequence[Columns]) -> float:
-    """Return the median duration of the sweeps, s; 0 without scans.
-
-    Drivers that measure the time of a revolution double it when they lose one, so the longest sweep says
-    little.
-    """
-    durations = [float(c["time_offsets"].max(initial=0.0)) for c in scans]
-    every = np.repeat(durations, [len(c) for c in scans])
-    return float(np.median(every)) if len(every) else 0.0
 
 
 def check_stamps(e: Evidence) -> Iterator[Finding]:

@@ -66,6 +66,11 @@ class Lidar2D(Sensor):
         "",
         "the last beam of a scan was measured first: for drivers that reverse the beams, not their times",
     )
+    sweep_time: float = parameter(
+        math.nan,
+        "s",
+        "time from the first beam of a scan to the last one; nan: that in the messages",
+    )
     latency: float = parameter(
         0.0, "s", "delay from the first beam of a scan to its stamp, on the odometry's clock"
     )
@@ -79,9 +84,9 @@ class Lidar2D(Sensor):
         """Start the clock."""
         self._clock = SweepClock(self.period)
 
-    @field_validator("range_min", "range_max")
+    @field_validator("range_min", "range_max", "sweep_time")
     @classmethod
-    def _is_a_range(cls, value: float, info: ValidationInfo) -> float:
+    def _is_not_negative(cls, value: float, info: ValidationInfo) -> float:
         if value < 0.0:
             raise ValueError("must be at least 0")
         if info.field_name == "range_max" and value <= info.data.get("range_min", math.nan):
@@ -101,7 +106,14 @@ class Lidar2D(Sensor):
         """Return the times of the first and last beams, (m,) s on the odometry's clock."""
         stamps = self._clock.smooth(plain(columns.stamps)) if self.period else columns.stamps
         begins = stamps - self.latency
-        return begins, begins + self._sweep(columns["time_offsets"])
+        return begins, begins + self._sweep(self._time_offsets(columns))
+
+    def _time_offsets(self, columns: Columns) -> Array:
+        """Return the times (n,) of the beams after the first one, s."""
+        offsets: Array = columns["time_offsets"]
+        if math.isnan(self.sweep_time):
+            return offsets
+        return np.linspace(0.0, self.sweep_time, len(offsets))
 
     def _sweep(self, time_offsets: Array) -> float:
         """Return the duration of a sweep, s."""
@@ -122,7 +134,10 @@ class Lidar2D(Sensor):
 
     def sweeps(self, columns: Columns, twists: Array) -> Scans:
         """Return the scans: validated, calibrated, mounted, de-skewed."""
-        sent, after = plain(columns["angles"]), self._after_middle(plain(columns["time_offsets"]))
+        sent, after = (
+            plain(columns["angles"]),
+            self._after_middle(plain(self._time_offsets(columns))),
+        )
         angles = -sent if self.upside_down else sent
         low, high = self._limits(columns)
         parts = deskew_sweeps(
@@ -157,7 +172,7 @@ class Lidar2D(Sensor):
 
     def observe(self, sweeps: Sweeps, k: int, rng: np.random.Generator) -> tuple[Observation, ...]:
         """Return the extracted landmarks of a scan, with the time at which their beams were fired."""
-        scan, offsets = sweeps.scan(k), sweeps.columns["time_offsets"]
+        scan, offsets = sweeps.scan(k), self._time_offsets(sweeps.columns)
         assert scan is not None
         middle, way = 0.5 * self._sweep(offsets), -1.0 if self.last_beam_first else 1.0
         return tuple(

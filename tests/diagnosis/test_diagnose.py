@@ -1,6 +1,7 @@
 """Diagnosis of a drive through the arena with one fault: it finds only that, and its settings fix it."""
 
 import math
+import re
 from collections.abc import Iterable
 from dataclasses import replace
 
@@ -16,7 +17,7 @@ from impslam.diagnosis.agreement import drive_axis, fit_agreement
 from impslam.diagnosis.diagnose import diagnose
 from impslam.diagnosis.evidence import gather_evidence
 from impslam.diagnosis.finding import worst_health
-from impslam.diagnosis.mount import relative_to_axle
+from impslam.diagnosis.mount import check_mount, relative_to_axle
 from impslam.diagnosis.robust import RobustFit
 from impslam.diagnosis.scales import check_scales
 from impslam.health import MISALIGNED, MISSCALED, MISTIMED, OPPOSED, SOUND
@@ -170,6 +171,20 @@ def test_the_lag_of_long_sweeps_is_found(slow_drive) -> None:
     lag = evidence(wrong).timing.lag
     assert lag.seconds == pytest.approx(0.1, abs=0.005)
     assert lag.sigma < 0.005
+
+
+def test_a_turned_laser_says_what_the_drive_shows_of_its_y() -> None:
+    """Odometry with turns measures y; where its distances are too uncertain, the finding says so."""
+    lidar = Lidar(mount=(0.1, 0.08, 0.5))
+    robot = SimulatedRobot(lidar=lidar, encoders=WheelEncoders.perfect(), imu=None)
+    messages = simulate(load_world("arena"), robot, seed=3)
+    e = evidence(batches((type(message).__name__, message) for message in messages))
+    (turned,) = check_mount(e)
+    told = re.search(r"y stays 0.000 m; by odometry it is (\S+) ± (\S+) m", turned.advice)
+    assert float(told[1]) == pytest.approx(0.08, abs=0.01)
+    unsure = e.agreement._replace(distance=RobustFit(e.agreement.distance.p, np.eye(2)))
+    (turned,) = check_mount(replace(e, agreement=unsure))
+    assert turned.advice == "y stays 0.000 m: the drive does not show it, so measure it"
 
 
 def set_by(fix: Iterable[str]) -> dict[str, float]:

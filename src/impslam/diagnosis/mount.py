@@ -14,6 +14,8 @@ from impslam.health import MISALIGNED, Standing
 
 YAW_TOLERANCE = math.radians(2.0)
 """Typical error of a laser mounted by eye: 3.5 cm per metre, as much as odometry drifts sideways."""
+MAX_Y_SIGMA = 0.02
+"""m: a tape measure is as good."""
 MIN_INLIERS = 0.7
 """Share of stretches that fit the axis; below it, the robot does not drive along an axis."""
 
@@ -40,9 +42,9 @@ def _turned(e: Evidence, yaw: float, off: float, sigma: float) -> Finding:
         f"the laser is turned by {math.degrees(yaw):.2f} ± {math.degrees(sigma):.2f} deg from the "
         f"direction in which the robot drives; its mount says {math.degrees(e.lidar.mount[2]):.2f} deg"
     )
-    advice = ""
+    advice = _sideways(e)
     if abs(off) > math.radians(135.0):
-        advice = "if the mount is right, odometry reports forward motion as backward"
+        advice += "; if the mount is right, odometry reports forward motion as backward"
     return Finding(
         "laser turned",
         what,
@@ -77,10 +79,27 @@ def _displaced(e: Evidence) -> list[Finding]:
             f"the laser is {relative_to_axle(ahead, sigma)}; {given}",
             (f"{e.lidar_key}.mount=[{ahead:.3f},{y:.3f},{yaw:.3f}]",),
             probability_off(ahead - x, sigma, allowed),
+            _sideways(e),
             harmful=e.is_mount_given,
             lidar=e.name,
         )
     ]
+
+
+def _sideways(e: Evidence) -> str:
+    """Say what is known of the laser's y, which the setting leaves as it is.
+
+    In a turn T, a laser to the left of base_link moves by y T less ahead than the distance by odometry, so
+    y is b / a of the agreement of both; without turns, or without odometry, nothing shows it.
+    """
+    kept = f"y stays {e.lidar.mount[1]:.3f} m"
+    if e.agreement is not None and e.odometry_moves:
+        scale = float(e.agreement.distance.p[0])
+        sigma = float(e.agreement.distance.sigma[1]) / max(abs(scale), 1e-9)
+        if sigma < MAX_Y_SIGMA:
+            y = float(e.agreement.distance.p[1]) / scale
+            return f"{kept}; by odometry it is {y:.3f} ± {max(sigma, 1e-3):.3f} m"
+    return f"{kept}: the drive does not show it, so measure it"
 
 
 def relative_to_axle(ahead: float, sigma: float) -> str:

@@ -1,8 +1,9 @@
 """Diagnosis of a drive through the arena with one fault: it finds only that, and its settings fix it."""
 
+import functools
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -16,7 +17,7 @@ from impslam.config import load
 from impslam.diagnosis.agreement import drive_axis, fit_agreement
 from impslam.diagnosis.diagnose import diagnose
 from impslam.diagnosis.evidence import gather_evidence
-from impslam.diagnosis.finding import worst_health
+from impslam.diagnosis.finding import Finding, worst_health
 from impslam.diagnosis.mount import check_mount, relative_to_axle
 from impslam.diagnosis.robust import RobustFit
 from impslam.diagnosis.scales import check_scales
@@ -67,11 +68,17 @@ def scan_of(walls: list[tuple[float, float]], x: float, rng) -> Columns:
 
 
 def harm(drive: Iterable[Batch], *settings: str) -> dict:
-    return {one.kind: one for one in found(drive, *settings) if one.harmful}
+    return harmful(found(drive, *settings))
 
 
-def test_sound_log_has_no_findings(drive) -> None:
-    assert found(drive) == []
+def harmful(findings: Iterable[Finding]) -> dict:
+    return {one.kind: one for one in findings if one.harmful}
+
+
+def test_sound_log_has_no_findings_and_sound_health(drive) -> None:
+    findings = found(drive)
+    assert findings == []
+    assert worst_health(findings) == SOUND
 
 
 CASES = {
@@ -111,6 +118,18 @@ CASES = {
 }
 
 
+@pytest.fixture(scope="module")
+def findings(drive) -> Callable[[str], list[Finding]]:
+    """Return a function that diagnoses the drive with the fault of a case, once each."""
+
+    @functools.cache
+    def of(name: str) -> list[Finding]:
+        change, settings, _ = CASES[name]
+        return found(list(faults.faulty(drive, change)), *settings)
+
+    return of
+
+
 def test_a_laser_behind_the_axle_is_reported_behind_it() -> None:
     assert relative_to_axle(0.1, 0.002) == "0.100 ± 0.002 m ahead of the axle"
     assert relative_to_axle(-0.064, 0.0) == "0.064 ± 0.001 m behind the axle"
@@ -128,9 +147,8 @@ SPOILED = {
 
 
 @pytest.mark.parametrize("name", SPOILED)
-def test_worst_health_gives_reason_and_amount(drive, name) -> None:
-    change, settings, _ = CASES[name]
-    health = worst_health(found(list(faults.faulty(drive, change)), *settings))
+def test_worst_health_gives_reason_and_amount(findings, name) -> None:
+    health = worst_health(findings(name))
     reason, amount, within = SPOILED[name]
     assert health.reason == reason
     assert health.amount == pytest.approx(amount, abs=within)
@@ -191,17 +209,13 @@ def set_by(fix: Iterable[str]) -> dict[str, float]:
     return {key: float(value) for key, value in (one.split("=") for one in fix)}
 
 
-def test_sound_log_has_sound_health(drive) -> None:
-    assert worst_health(found(drive)) == SOUND
-
-
 @pytest.mark.parametrize("name", CASES)
-def test_fault_is_found_and_its_settings_fix_it(drive, name: str) -> None:
+def test_fault_is_found_and_its_settings_fix_it(drive, findings, name: str) -> None:
     change, settings, kind = CASES[name]
-    wrong = list(faults.faulty(drive, change))
-    problems = harm(wrong, *settings)
+    problems = harmful(findings(name))
     assert list(problems) == [kind]
     assert problems[kind].sure > 0.99 or problems[kind].advice
+    wrong = list(faults.faulty(drive, change))
     assert harm(wrong, *settings, *problems[kind].fix) == {}
 
 

@@ -237,13 +237,13 @@ def test_backing_up_that_is_logged_as_forward_is_followed():
     assert_near(off, 0.06, 0.03)
 
 
-def with_pillars(*positions):
-    """Return the lines of pillars that stand out 0.5 m from both walls of the corridor."""
+def with_pillars(*positions, depth=0.5):
+    """Return the lines of pillars that stand out by `depth` m from both walls of the corridor."""
     frames = [
         [
-            [[x, y], [x, 0.5 * y]],
-            [[x, 0.5 * y], [x + 0.3, 0.5 * y]],
-            [[x + 0.3, 0.5 * y], [x + 0.3, y]],
+            [[x, y], [x, (1.0 - depth) * y]],
+            [[x, (1.0 - depth) * y], [x + 0.3, (1.0 - depth) * y]],
+            [[x + 0.3, (1.0 - depth) * y], [x + 0.3, y]],
         ]
         for x in positions
         for y in (1.0, -1.0)
@@ -299,6 +299,17 @@ def test_odometry_that_froze_in_a_bare_corridor_is_noticed_at_the_next_pillar(rn
     spread = ends(out)[1]
     assert off[-1, 0] ** 2 < 9.0 * spread[0, 0]
     assert np.abs(np.diff(off[90:, 0])).max() < 0.05
+
+
+@pytest.mark.parametrize("depth", [0.1, 0.2, 0.5])
+def test_wheels_that_turn_in_vain_do_not_move_the_robot_where_few_points_tell(rng, depth):
+    """Matches with a shallow pillar follow odometry, but no range has changed."""
+    poses = np.vstack((straight(60, start=(0.0, 0.1, 0.0)), np.tile((3.54, 0.1, 0.0), (100, 1))))
+    scans = scans_from(poses, with_pillars(2.5, 5.0, depth=depth), **BARE, noise=0.01, rng=rng)
+    error = np.zeros((160, 3))
+    error[60:, 0] = 0.03
+    _, _, off = drive(poses, odometry_of(poses, error), scans)
+    assert np.abs(off[:, 0]).max() < 0.3
 
 
 @pytest.mark.parametrize(

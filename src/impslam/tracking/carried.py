@@ -53,6 +53,7 @@ def notice_carried(beams: BeamColumns, k: int, state: State, duration: float, ou
 def begin_place(state: State) -> None:
     """Begin new maps: the robot is at another place."""
     state.submaps.travelled[:], state.lidar.added[:] = math.nan, math.nan
+    state.lidar.stall.flags[:] = False
     state.places[0] += 1
     state.proven[0] = 0.0
     state.reach[:] = 0.0

@@ -8,6 +8,7 @@ from impslam.surfaces.surface_map import Alignment, FitSums
 from impslam.tracking.jump import PastScans
 from impslam.tracking.learned_odometry import LearnedOdometry
 from impslam.tracking.match_faults import MatchFaults, MatchQuality
+from impslam.tracking.stall import StallState
 from impslam.tracking.submaps import Submaps
 from impslam.types import Array, Ints, Mask
 
@@ -32,12 +33,14 @@ class LidarState(NamedTuple):
     pose : (3,) of base_link at that scan, in the frame of the submaps
     added : (3,) pose of its newest scan in the submaps; NaN before the first
     past : its last scans, to compare with the next ones
+    stall : whether the robot stands although its wheels turn
     """
 
     ranges: Array
     pose: Array
     added: Array
     past: PastScans
+    stall: StallState
 
 
 class FrozenOdometry(NamedTuple):

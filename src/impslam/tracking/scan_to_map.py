@@ -26,6 +26,7 @@ from impslam.tracking.matching_state import (
 from impslam.tracking.per_lidar import PerLidar
 from impslam.tracking.pose_search import USUAL_RMS, USUAL_SHARE
 from impslam.tracking.scan_matching import follow
+from impslam.tracking.stall import initial_stall_state
 from impslam.tracking.submaps import empty_submaps
 
 
@@ -131,4 +132,6 @@ class ScanToMap(Tracker):
 
 def _no_scans(beams: int) -> LidarState:
     """Return the state of a lidar with this number of beams before its first scan."""
-    return LidarState(np.zeros(beams), np.zeros(3), np.full(3, np.nan), no_past(beams))
+    return LidarState(
+        np.zeros(beams), np.zeros(3), np.full(3, np.nan), no_past(beams), initial_stall_state(beams)
+    )

@@ -43,21 +43,24 @@ class StallState(NamedTuple):
     Attributes
     ----------
     ranges, points : (n,) m and (n, 2) m in base_link, of the reference scan; 0 where invalid
-    odometry, used : (3,) motion since then, by odometry and as handed on
-    flags : (2,) whether there is a reference scan, and whether the robot is stalled
+    odometry : (3,) motion since the last comparison, by odometry
+    pose : (3,) of base_link at the reference scan, in the frame of a map; or the motion since, see
+        `undo_stalled_motion`
+    flags : (3,) whether there is a reference scan, whether the robot is stalled, and whether the newest
+        sweep is the reference scan, until its pose is set
     """
 
     ranges: Array
     points: Array
     odometry: Array
-    used: Array
+    pose: Array
     flags: Mask
 
 
 def initial_stall_state(beams: int) -> StallState:
     """Return the state before the first scan of a lidar with this number of beams."""
     return StallState(
-        np.zeros(beams), np.zeros((beams, 2)), np.zeros(3), np.zeros(3), np.zeros(2, np.bool_)
+        np.zeros(beams), np.zeros((beams, 2)), np.zeros(3), np.zeros(3), np.zeros(3, np.bool_)
     )
 
 
@@ -68,34 +71,40 @@ def undo_stalled_motion(
     """Undo, in place, the motions used while the robot was stalled; mark these sweeps `STALLED`.
 
     `odometry` (m, 3) are the motions by odometry, `used` those handed on; both belong to the sweeps in
-    `beams`.
+    `beams`. The state's `pose` is the motion handed on since the reference scan.
     """
     before, origin = np.empty(3), np.zeros(3)
     for k in range(len(odometry)):
-        before[:] = state.used
-        advance_pose(state.odometry, odometry[k])
-        advance_pose(state.used, used.d_pose[k])
-        if state.flags[0] and not state.flags[1]:
-            distance = math.hypot(state.odometry[0], state.odometry[1])
-            turn = abs(state.odometry[2])
-            if distance < MIN_MOTION[0] and turn < MIN_MOTION[1]:
-                continue
-        # A stalled robot moves off in the direction of the newest motion.
-        expected = odometry[k] if state.flags[1] else state.odometry
-        changed, same = _compare(beams.ranges[k], expected, beams.geometry, state)
-        stalled = changed >= MIN_BEAMS and same >= MIN_UNCHANGED * changed
-        state.flags[1] = state.flags[0] and stalled
-        state.odometry[:] = 0.0
-        if state.flags[1]:
+        before[:] = state.pose
+        advance_pose(state.pose, used.d_pose[k])
+        if notice_stall(odometry[k], beams, k, state):
             between(before, origin, used.d_pose[k])
             used.covariance[k] = np.outer(before, before)
             for a in range(3):
                 used.covariance[k, a, a] += STALL_SIGMA**2
-            state.used[:] = 0.0
             reasons[k] = STALLED
-        else:
-            state.flags[0], state.used[:] = True, 0.0
-            state.points[:], state.ranges[:] = beams.points[k], beams.ranges[k]
+        if state.flags[1] or state.flags[2]:
+            state.pose[:], state.flags[2] = 0.0, False
+
+
+@kernel
+def notice_stall(odometry: Array, beams: BeamColumns, k: int, state: StallState) -> bool:
+    """Return whether the robot is stalled at sweep k, after a motion (3,) of odometry."""
+    advance_pose(state.odometry, odometry)
+    if state.flags[0] and not state.flags[1]:
+        distance = math.hypot(state.odometry[0], state.odometry[1])
+        if distance < MIN_MOTION[0] and abs(state.odometry[2]) < MIN_MOTION[1]:
+            return False
+    # A stalled robot moves off in the direction of the newest motion.
+    expected = odometry if state.flags[1] else state.odometry
+    changed, same = _compare(beams.ranges[k], expected, beams.geometry, state)
+    stalled = changed >= MIN_BEAMS and same >= MIN_UNCHANGED * changed
+    state.flags[1] = state.flags[0] and stalled
+    state.odometry[:] = 0.0
+    if not state.flags[1]:
+        state.flags[0] = state.flags[2] = True
+        state.points[:], state.ranges[:] = beams.points[k], beams.ranges[k]
+    return bool(state.flags[1])
 
 
 @kernel

@@ -1,0 +1,41 @@
+"""Match the scans of a robot that stands although its wheels turn; see `stall`.
+
+Its scans show no motion at all, but where few points determine the position along a corridor, matches
+follow odometry. So they begin at the pose of the scan that has not changed since.
+"""
+
+from __future__ import annotations
+
+from impslam.geometry.kernels import kernel
+from impslam.health import STALLED
+from impslam.tracking.base import Steps
+from impslam.tracking.beams import BeamColumns
+from impslam.tracking.matching_state import State
+from impslam.tracking.stall import STALL_SIGMA, notice_stall
+
+
+@kernel
+def predict_stalled(beams: BeamColumns, k: int, state: State) -> bool:
+    """Return whether the robot stands at sweep k although odometry moves; then predict where it stands."""
+    stall = state.lidar.stall
+    if not notice_stall(state.motion, beams, k, stall):
+        return False
+    state.pose[:] = stall.pose
+    state.prior[:] = STALL_SIGMA**2
+    return True
+
+
+@kernel
+def report_stalled(k: int, state: State, out: Steps) -> None:
+    """Report sweep k as one of a stalled robot, unless it has a worse reason."""
+    if out.reasons[k] < STALLED:
+        out.reasons[k], out.amounts[k] = STALLED, 0.0
+        state.faults.newest[0], state.faults.newest[1] = STALLED, 0.0
+
+
+@kernel
+def set_reference_pose(state: State) -> None:
+    """Store the pose of the newest scan, after its match, if it has become the reference scan."""
+    stall = state.lidar.stall
+    if stall.flags[2]:
+        stall.pose[:], stall.flags[2] = state.pose, False

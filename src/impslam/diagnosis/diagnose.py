@@ -102,11 +102,9 @@ def _checks(e: Evidence, is_quick: bool) -> Sequence[Check]:
     logs have no such times.
     """
     is_known = is_quick and (e.lidar.period != 0.0 or given_time(e) == 0.0)
-    return (
-        [check_stamps if check is check_times else check for check in CHECKS]
-        if is_known
-        else CHECKS
-    )
+    if not is_known:
+        return CHECKS
+    return [check_stamps if check is check_times else check for check in CHECKS]
 
 
 def initial_findings(config: Config, source: Source) -> list[Finding]:

@@ -134,10 +134,8 @@ class Lidar2D(Sensor):
 
     def sweeps(self, columns: Columns, twists: Array) -> Scans:
         """Return the scans: validated, calibrated, mounted, de-skewed."""
-        sent, after = (
-            plain(columns["angles"]),
-            self._after_middle(plain(self._time_offsets(columns))),
-        )
+        sent = plain(columns["angles"])
+        after = self._after_middle(plain(self._time_offsets(columns)))
         angles = -sent if self.upside_down else sent
         low, high = self._limits(columns)
         parts = deskew_sweeps(

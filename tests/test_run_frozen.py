@@ -120,7 +120,7 @@ def test_an_unperturbed_run_is_trusted_throughout(arena, tmp_path):
 def test_wheels_that_turn_against_a_wall_do_not_move_the_robot(arena, speed, tmp_path):
     """Before ranges were compared, the robot went on through the wall for as far as its wheels told."""
     begin, end = arena[0].stamp, arena[-1].stamp
-    messages = against_a_wall(arena, begin + 0.4 * (end - begin), 8.0, speed)
+    messages = against_a_wall(arena, begin + 0.4 * (end - begin), max(8.0, 16.0 / speed), speed)
     error, _, summary, _ = mapped(messages, tmp_path / "log")
     assert error < 0.05
     told = summary["health"]

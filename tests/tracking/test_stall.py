@@ -22,15 +22,20 @@ def box(x, y, half_length, half_width, rng):
 
 def driven(steps, odometry, half_length, half_width=1.0, range_max=8.0):
     """Return the motions used and the reasons for true `steps` (m,) and those by `odometry`."""
-    rng, m = np.random.default_rng(3), len(steps)
+    rng = np.random.default_rng(3)
     ranges = np.array([box(x, 0.1, half_length, half_width, rng) for x in np.cumsum(steps)])
+    return checked(ranges, np.column_stack((odometry, np.zeros((len(steps), 2)))), range_max)
+
+
+def checked(ranges, d_pose, range_max=8.0):
+    """Return the motions used and the reasons for ranges (m, n) and motions by odometry (m, 3)."""
+    m = len(ranges)
     directions = np.column_stack((np.cos(ANGLES), np.sin(ANGLES)))
     points = LASER[:2] + ranges[:, :, None] * directions
     scans = Scans(
         np.arange(m) / 10.0, ANGLES, ranges, ranges < range_max, points, directions, points, ranges,
         0.0, range_max, LASER,
     )  # fmt: skip
-    d_pose = np.column_stack((odometry, np.zeros((m, 2))))
     d_pose[0] = 0.0
     used = Motions(scans.stamps, d_pose.copy(), np.zeros((m, 3, 3)), np.full(m, 0.1))
     reasons = np.zeros(m, np.int8)
@@ -45,7 +50,7 @@ def test_wheels_that_turn_against_a_wall_add_no_motion(step):
     used, reasons = driven(np.zeros(40), np.full(40, step), 3.0)
     assert abs(used.d_pose[:, 0].sum()) < 0.2
     first = int(np.argmax(reasons == STALLED))
-    assert step * first <= 0.45
+    assert step * first <= 0.6
     assert (reasons[first:] == STALLED).all()
     assert (
         used.covariance[first, 0, 0] >= (step * (first - 1)) ** 2
@@ -71,3 +76,23 @@ def test_a_robot_that_comes_off_the_wall_drives_on():
     assert reasons[10:20].all()
     assert not reasons[25:].any()
     assert used.d_pose[20:, 0].sum() == pytest.approx(-1.0, abs=0.1)
+
+
+def test_wheels_that_slip_once_are_not_stalled():
+    """As with pillars along a corridor: the ranges are those of 0.25 m before, but not of 0.5 m before."""
+    steps = np.full(12, 0.25)
+    steps[[3, 7]] = 0.0
+    _, reasons = driven(steps, np.full(12, 0.25), 4.0)
+    assert not reasons.any()
+
+
+def test_on_an_arc_along_a_round_wall_nothing_is_concluded():
+    """No range changes, but a turn by odometry would change none of them either."""
+    rng, m, radius, off = np.random.default_rng(3), 60, 3.0, 0.5
+    bearing = ANGLES - np.angle(1j * off - LASER[0])
+    distance = abs(1j * off - LASER[0])
+    across = np.sqrt(radius**2 - (distance * np.sin(bearing)) ** 2)
+    ranges = distance * np.cos(bearing) + across + 0.005 * rng.standard_normal((m, len(ANGLES)))
+    step = np.array([0.05, 0.0, 0.05 / off])
+    _, reasons = checked(ranges, np.tile(step, (m, 1)))
+    assert not reasons.any()

@@ -3,9 +3,11 @@
 A reference scan is kept. Once odometry reports enough motion since, the ranges that this motion would have
 changed are predicted: each reference point, seen from the pose given by odometry, is compared with the
 range measured before by the beam in its direction. If nearly all beams that should have changed still
-measure the same, the robot is stationary. Along a bare corridor no range would change, so nothing is
+measure the same, and still do after twice the motion, the robot is stationary. One comparison is not
+enough: things along a corridor may repeat. Along a bare corridor no range would change, so nothing is
 concluded; a scan matcher could report any motion there. Turns reported by odometry are left out: its
-heading is often wrong by enough to change many ranges. Wheels that turn the robot in vain are detected by
+heading is often wrong by enough to change many ranges. But if no range would change with the turn either,
+as on an arc along a round wall, nothing is concluded. Wheels that turn the robot in vain are detected by
 `odometry_check`.
 """
 
@@ -46,8 +48,8 @@ class StallState(NamedTuple):
     odometry : (3,) motion since the last comparison, by odometry
     pose : (3,) of base_link at the reference scan, in the frame of a map; or the motion since, see
         `undo_stalled_motion`
-    flags : (3,) whether there is a reference scan, whether the robot is stalled, and whether the newest
-        sweep is the reference scan, until its pose is set
+    flags : (4,) whether there is a reference scan, whether the robot is stalled, whether the newest sweep
+        is the reference scan, until its pose is set, and whether the ranges were unchanged once
     """
 
     ranges: Array
@@ -60,7 +62,7 @@ class StallState(NamedTuple):
 def initial_stall_state(beams: int) -> StallState:
     """Return the state before the first scan of a lidar with this number of beams."""
     return StallState(
-        np.zeros(beams), np.zeros((beams, 2)), np.zeros(3), np.zeros(3), np.zeros(3, np.bool_)
+        np.zeros(beams), np.zeros((beams, 2)), np.zeros(3), np.zeros(3), np.zeros(4, np.bool_)
     )
 
 
@@ -92,14 +94,16 @@ def notice_stall(odometry: Array, beams: BeamColumns, k: int, state: StallState)
     """Return whether the robot is stalled at sweep k, after a motion (3,) of odometry."""
     advance_pose(state.odometry, odometry)
     if state.flags[0] and not state.flags[1]:
-        distance = math.hypot(state.odometry[0], state.odometry[1])
-        if distance < MIN_MOTION[0] and abs(state.odometry[2]) < MIN_MOTION[1]:
+        distance, factor = math.hypot(state.odometry[0], state.odometry[1]), 1 + state.flags[3]
+        if distance < factor * MIN_MOTION[0] and abs(state.odometry[2]) < factor * MIN_MOTION[1]:
             return False
     # A stalled robot moves off in the direction of the newest motion.
     expected = odometry if state.flags[1] else state.odometry
-    changed, same = _compare(beams.ranges[k], expected, beams.geometry, state)
-    stalled = changed >= MIN_BEAMS and same >= MIN_UNCHANGED * changed
-    state.flags[1] = state.flags[0] and stalled
+    unchanged = state.flags[0] and _is_unchanged(beams.ranges[k], expected, beams.geometry, state)
+    if unchanged and not state.flags[1] and not state.flags[3]:
+        state.flags[3] = True
+        return False
+    state.flags[1], state.flags[3] = unchanged, False
     state.odometry[:] = 0.0
     if not state.flags[1]:
         state.flags[0] = state.flags[2] = True
@@ -108,16 +112,26 @@ def notice_stall(odometry: Array, beams: BeamColumns, k: int, state: StallState)
 
 
 @kernel
-def _compare(
-    ranges: Array, expected: Array, geometry: Geometry, state: StallState
-) -> tuple[int, int]:
-    """Return the number of beams that a motion (3,) should have changed, and of those that it did not.
+def _is_unchanged(ranges: Array, expected: Array, geometry: Geometry, state: StallState) -> bool:
+    """Return whether nearly all ranges that a motion (3,) should have changed are those of the reference.
 
     A shorter motion is scaled up to `MIN_MOTION` m, so that the beams that it would change stand out.
     """
     distance = math.hypot(expected[0], expected[1])
-    scale = max(MIN_MOTION[0] / distance, 1.0) if distance > 0.0 else 1.0
-    motion = np.array([scale * expected[0], scale * expected[1], 0.0])
+    motion = expected * (max(MIN_MOTION[0] / distance, 1.0) if distance > 0.0 else 1.0)
+    turn, motion[2] = motion[2], 0.0
+    changed, same = _compare(ranges, motion, geometry, state)
+    if changed < MIN_BEAMS or same < MIN_UNCHANGED * changed:
+        return False
+    motion[2] = turn
+    return _compare(ranges, motion, geometry, state)[0] >= MIN_BEAMS
+
+
+@kernel
+def _compare(
+    ranges: Array, motion: Array, geometry: Geometry, state: StallState
+) -> tuple[int, int]:
+    """Return the number of beams that a motion (3,) should have changed, and of those that it did not."""
     changed = same = 0
     for j in range(len(ranges)):
         k, _ = changed_beam(j, motion, state.points, state.ranges, geometry)

@@ -305,12 +305,28 @@ def test_a_mistake_in_a_setting_is_not_the_files(tmp_path: Path):
 def test_a_base_that_is_missing_is_told_with_the_file_that_names_it(tmp_path: Path):
     file = tmp_path / "mine.toml"
     file.write_text('base = "gone.toml"\n')
-    assert refuse(base=file).startswith(f"{file}: base = 'gone.toml': neither a file nor a preset")
+    where = f"neither a preset nor the file {str(tmp_path / 'gone.toml')!r}"
+    assert refuse(base=file).startswith(f"{file}: base = 'gone.toml': {where}")
 
 
-def test_a_file_that_is_its_own_base(tmp_path: Path):
-    file = tmp_path / "loop.toml"
-    file.write_text(f"base = '{file.as_posix()}'")
+def test_a_base_is_relative_to_the_file_that_names_it(tmp_path: Path, monkeypatch):
+    """Not to the working directory, which has files of the same names here."""
+    folder, elsewhere = tmp_path / "robots", tmp_path / "elsewhere"
+    for place, track in ((folder, 0.3), (elsewhere, 0.4)):
+        (place / "parts").mkdir(parents=True)
+        (place / "wheels.toml").write_text(f'base = "imp"\nodometry.track = {track}\n')
+        (place / "parts" / "laser.toml").write_text('base = "../wheels.toml"\nseed = 1\n')
+    (folder / "mine.toml").write_text('base = "parts/laser.toml"\n')
+    monkeypatch.chdir(elsewhere)
+    config = load("../robots/mine.toml")
+    assert (config.odometry["track"], config.seed) == (0.3, 1)
+
+
+@pytest.mark.parametrize("base", ["loop.toml", "../a/loop.toml", "{folder}/loop.toml"])
+def test_a_file_that_is_its_own_base(tmp_path: Path, base: str):
+    file = tmp_path / "a" / "loop.toml"
+    file.parent.mkdir()
+    file.write_text(f"base = '{base.format(folder=file.parent.as_posix())}'")
     with pytest.raises(ConfigError, match="its own base"):
         read_table(file)
 
@@ -406,4 +422,4 @@ def test_plug_ins_with_a_nul_in_their_name(place, tmp_path):
 def test_a_base_with_a_nul_in_its_name(base, tmp_path):
     file = tmp_path / "nul.toml"
     file.write_text(f'base = "{base}"')
-    assert "neither a file nor a preset" in refuse(base=file)
+    assert "neither a preset nor the file" in refuse(base=file)

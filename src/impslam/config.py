@@ -201,24 +201,37 @@ def _layers(name: str | Path, derived: tuple[str, ...] = ()) -> list[tuple[str, 
 
     `derived` are the presets and files of which it is the base.
     """
-    if str(name) in derived:
-        raise ConfigError(f"{name}: is its own base ({' -> '.join(derived)}); name another base")
     path = Path(name)
     if str(name) in presets():
         text = files("impslam").joinpath("presets", f"{name}.toml").read_text("utf-8")
     elif is_file(path):
+        if any(path.samefile(one) for one in derived):
+            chain = " -> ".join(derived)
+            raise ConfigError(f"{name}: is its own base ({chain}); name another base")
         text = read_text(path, "check the file", ConfigError)
     else:
-        asked = f"{derived[-1]}: base = " if derived else ""
         hint = near_miss(str(name), presets())
-        raise ConfigError(f"{asked}{shorten(str(name))}: neither a file nor a preset; {hint}")
+        raise ConfigError(f"{shorten(str(name))}: neither a file nor a preset; {hint}")
     table = toml.parse(text, str(name))
     base = table.pop("base", None)
     table = _with_plugin_paths(table, path.parent)
     if base is None:
         return [(str(name), table)]
-    below = _layers(str(base), (*derived, str(name)))
+    below = _layers(_base(str(base), path), (*derived, str(name)))
     return [*below, (str(name), _override(below[-1][1], table))]
+
+
+def _base(name: str, file: Path) -> str:
+    """Return a base: a preset, or a file relative to the folder of the file that names it."""
+    if name in presets():
+        return name
+    path = file.parent / name
+    if not is_file(path):
+        known = near_miss(name, presets())
+        raise ConfigError(
+            f"{file}: base = {shorten(name)}: neither a preset nor the file {str(path)!r}; {known}"
+        )
+    return str(path)
 
 
 def carried(preset: str, log: Path) -> Table:

@@ -185,6 +185,28 @@ def slow(*args, **options):
     assert not (tmp_path / "run").exists()
 
 
+@pytest.mark.parametrize(
+    ("number", "said", "code"),
+    [(signal.SIGINT, "interrupted", 130), (signal.SIGTERM, "terminated", 143)],
+)
+@pytest.mark.parametrize("words", [("merge", "a.imp", "b.imp"), ("localise", "a.imp", "log")])
+def test_a_signal_ends_work_on_maps_with_one_line(tmp_path, words, number, said, code) -> None:
+    slow = """
+from impslam import localisation, map as maps
+from impslam.maps import merge
+maps.Map.load = staticmethod(lambda file: None)
+def work(*_, **options):
+    print("begun", flush=True)
+    time.sleep(60.0)
+localisation.localise = merge.merged = work
+"""
+    with started("map", *words, "-o", tmp_path / "out", more=slow) as process:
+        assert "begun\n" in process.stdout
+        err = end(process, number, 5.0)
+    assert (process.returncode, err) == (code, f"imp: {said}\n")
+    assert not any(tmp_path.iterdir())
+
+
 def test_a_signal_while_the_command_line_is_imported_is_one_line(tmp_path) -> None:
     (tmp_path / "cyclopts.py").write_text("raise KeyboardInterrupt")
     ended = subprocess.run(

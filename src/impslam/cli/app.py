@@ -14,6 +14,7 @@ import impslam
 from impslam.cli import pipes, startup_notice
 from impslam.cli.commands import COMMANDS
 from impslam.cli.console import configure_logging, help_text
+from impslam.cli.interruption import stopped_at_once
 from impslam.errors import ImpError, Interrupted, QuitError
 
 OK, UNEXPECTED, UNUSABLE, INTERRUPTED = 0, 1, 2, 130
@@ -49,9 +50,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if arguments is None else arguments)
     debug = "--debug" in words
     try:
-        _check_encoding(words)
-        _run_command(words)
-        sys.stdout.flush()
+        with stopped_at_once():
+            _check_encoding(words)
+            _run_command(words)
+            sys.stdout.flush()
     except KeyboardInterrupt as error:
         code = error.code if isinstance(error, Interrupted) else INTERRUPTED
         message = str(error) or "interrupted; the files written so far are valid"

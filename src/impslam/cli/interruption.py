@@ -51,7 +51,7 @@ class Interruption:
 
 @contextmanager
 def stopped_at_once() -> Iterator[None]:
-    """Raise `Interrupted` on the first signal: while other processes or threads do the work."""
+    """Raise `Interrupted` on the first signal, as every command does unless it uses `Interruption`."""
     with _handling(_raise):
         yield
 

@@ -14,7 +14,6 @@ from cyclopts import Parameter
 
 from impslam.cli import console
 from impslam.cli.console import Common, Flag, Force, Jobs, Output, whole_number
-from impslam.cli.interruption import stopped_at_once
 from impslam.cli.progress import StageBars, display
 from impslam.cli.run_folder import run_folder
 from impslam.component import near_miss
@@ -85,7 +84,7 @@ def reproduce(
     command = ["imp", "reproduce", *experiments, *(["--seeds", str(seeds)] if seeds else [])]
     command += ["--full"] if full else []
     parts: list[Section] = []
-    with stopped_at_once(), _folder(output, force=force) as folder, display(quiet) as progress:
+    with _folder(output, force=force) as folder, display(quiet) as progress:
         try:
             for name in names:
                 runs = seeds or (EXPERIMENTS[name][1] if full else None)

@@ -13,7 +13,6 @@ from cyclopts import Parameter
 
 from impslam.cli import console
 from impslam.cli.console import Common, Jobs, Output, Repeatable, Whole
-from impslam.cli.interruption import stopped_at_once
 from impslam.errors import ConfigError
 from impslam.paths import exclusive, make_folder
 
@@ -88,7 +87,7 @@ def sweep(  # noqa: PLR0913  # each is an option that a user may give
     todo = cases(found, configs or (None,), alternatives(settings), seeds)
     pool = make_pool(jobs, scheduler)
     folder = output or make_folder(Path("runs"), f"sweep-{time.strftime('%Y%m%d-%H%M%S')}")
-    with stopped_at_once(), exclusive(folder):
+    with exclusive(folder):
         journal = Journal(folder)
         remaining = [case for case in todo if not journal.has(case.row())]
         if not quiet and len(remaining) < len(todo):

@@ -11,7 +11,6 @@ from cyclopts import Parameter
 
 from impslam.cli import console
 from impslam.cli.console import Common, ConfigName, Jobs, Output, Settings, Whole
-from impslam.cli.interruption import stopped_at_once
 from impslam.cli.sweep import Files, Scheduler, find_logs, make_pool
 from impslam.errors import ConfigError
 from impslam.paths import exclusive, make_folder
@@ -95,7 +94,7 @@ def tune(  # noqa: PLR0913  # each is an option that a user may give
     task = Task(tuned_on, held_out, config, settings, search.seeds)
     space, pool = task.space(search.search), make_pool(jobs, scheduler)
     folder = output or make_folder(Path("runs"), f"tune-{time.strftime('%Y%m%d-%H%M%S')}")
-    with stopped_at_once(), exclusive(folder):
+    with exclusive(folder):
         study = _search(task, space, search, pool, folder, quiet)
         _finish(task, space, study, search.score, pool, folder, quiet)
 

@@ -42,18 +42,19 @@ class Extractor(Component):
         ConfigError
             If these are no observations of known landmarks; otherwise a filter would fail later, or worse.
         """
-        found: Any = self.extract(scan, rng)
-        if isinstance(found, Iterable):
-            found = list(found)
+        returned: Any = self.extract(scan, rng)
+        found: list[Observation] = []
+        if isinstance(returned, Iterable):
+            found = list(returned)
             wrong = next(filter(None, (_defect(o, self._dims) for o in found)), "")
         else:
-            wrong = f"{type(found).__name__} in place of a list of observations"
+            wrong = f"{type(returned).__name__} in place of a list of observations"
         if wrong:
             raise ConfigError(
                 f"extractor {self.name!r} returned {wrong}; correct it, the contract is Extractor in "
                 "impslam.extractors.base"
             )
-        return list(found)
+        return found
 
 
 def _defect(o: Any, dims: Mapping[str, int]) -> str:

@@ -100,6 +100,13 @@ def test_an_unusable_option_names_its_command(imp) -> None:
     fails(imp("run", "a", "--seed", "x"), "imp run: invalid value for --seed", "not a whole number")
 
 
+def test_an_unknown_command(imp) -> None:
+    fails(imp("survey"), 'imp: unknown command "survey"; see imp --help')
+    fails(
+        imp("map", "infos"), 'imp map: unknown command "infos". Did you mean "info"?; see imp map'
+    )
+
+
 def test_unknown_preset(imp, room) -> None:
     fails(imp("run", room, "-c", "imq"), "imq", "did you mean 'imp'?")
     fails(imp("config", "defalt"), "defalt", "did you mean 'default'?")

@@ -127,7 +127,7 @@ def _usage_error(error: CycloptsError) -> str:
         what = error.argument.names[0] if error.argument is not None else "an argument"
         lack = "needs a value" if error.keyword else "is missing"
         return f"{name}: {what} {lack}; {advice}"
-    text = str(error).rstrip(".")
+    text = str(error).partition(" Available commands")[0].rstrip(".")  # the advice shows them all
     return f"{name}: {text[:1].lower()}{text[1:]}; {advice}"
 
 

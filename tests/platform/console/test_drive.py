@@ -86,7 +86,7 @@ def test_the_joystick_drives_and_its_release_stops(browser, robot):
         press_forward(page)
         page.wait_for_timeout(400)
         page.mouse.up()
-        assert robot.state()["told"] == [], "nobody has taken the helm"
+        assert robot.state()["told"] == [], "nobody has taken control"
         take(page)
         press_forward(page)
         until(lambda: robot.state()["speed"] == pytest.approx(0.3))  # half of the limit of 0.6

@@ -113,7 +113,7 @@ def test_only_one_drives_and_errors_name_the_driver(helm, clock):
     helm.take("a", "Ann")
     with pytest.raises(HelmError, match="Ann is driving"):
         helm.take("b", "Bob")
-    with pytest.raises(HelmError, match="take the helm"):
+    with pytest.raises(HelmError, match="take control"):
         helm.drive("b", 0.1, 0.0)
     helm.leave("b")
     assert helm.state().name == "Ann"
@@ -140,7 +140,7 @@ def test_anyone_can_trigger_the_emergency_stop(helm, wheels, clock):
     helm._send()
     assert len(wheels.commands) == before  # nothing is sent that could move it
     assert helm.state().stopped == "emergency stop by Bob"
-    with pytest.raises(HelmError, match="take the helm"):
+    with pytest.raises(HelmError, match="take control"):
         helm.release("b")
     helm.release("a")
     assert not wheels.stopped
@@ -189,10 +189,10 @@ def test_events_of_the_helm_are_notified_once(wheels, clock):
     helm.release("a")
     helm.leave("a")
     assert notices == [
-        ("info", "Ann takes the helm"),
+        ("info", "Ann takes control"),
         ("warning", "emergency stop by Bob"),
         ("info", "emergency stop released by Ann"),
-        ("info", "Ann lets go of the helm"),
+        ("info", "Ann releases control"),
     ]
 
 

@@ -1,4 +1,4 @@
-"""The drive panel: who has the helm, and the driver's commands."""
+"""The drive panel: who has control, and the driver's commands."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from impslam.platform.station.station import Station
 
 
 class DrivePanel:
-    """Take and leave the helm, drive, release the emergency stop; for watchers: who drives."""
+    """Take and release control, drive, release the emergency stop; for watchers: who drives."""
 
     def __init__(self, station: Station, viewer: Viewer, stop: StopButton) -> None:
         self._station, self._viewer, self._stop = station, viewer, stop
@@ -24,7 +24,7 @@ class DrivePanel:
             with line():
                 self._who = text("driver", "Nobody drives", "who")
                 self._take = button(
-                    "Take the helm", "take", self._on_take, "primary", "sports_esports"
+                    "Take control", "take", self._on_take, "primary", "sports_esports"
                 )
                 self._leave = button("Let go", "leave", self._on_leave)
             with ui.element("div").classes("notice") as self._stopped:
@@ -37,7 +37,7 @@ class DrivePanel:
         self.update()
 
     def update(self) -> None:
-        """Show the present state of the helm."""
+        """Show who drives, and whether the robot is stopped."""
         state = self._station.helm.state()
         may, mine = self._viewer.session.may_drive, state.driver == self._viewer.driver
         same = state.name == self._viewer.session.name
@@ -52,7 +52,7 @@ class DrivePanel:
             self._pad.enable(driving=mine and not state.stopped)
 
     def leave(self) -> None:
-        """Leave the helm, as the page is gone, or its session has ended."""
+        """Release control, as the page is gone, or its session has ended."""
         self._station.helm.leave(self._viewer.driver)
 
     @staticmethod
@@ -88,4 +88,4 @@ class DrivePanel:
         try:
             self._station.helm.drive(self._viewer.driver, forward * speed, left * turn_rate, late)
         except ImpError:
-            self.update()  # someone else has the helm by now: show it
+            self.update()  # someone else has control by now: show it

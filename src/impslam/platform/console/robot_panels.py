@@ -81,7 +81,7 @@ class RobotPanels:
         return alarms(health, helm.hindrance, drives)
 
     def leave(self) -> None:
-        """Leave the helm."""
+        """Release control."""
         self._drive.leave()
 
 

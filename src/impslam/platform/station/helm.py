@@ -98,21 +98,21 @@ class Helm:
             if self._device is None:
                 raise HelmError("this robot has nothing to drive with; add a drive device to it")
             if self._driver is not None and driver != self._driver[0] and name != self._driver[1]:
-                raise HelmError(f"{self._driver[1]} is driving; ask them to let go of the helm")
+                raise HelmError(f"{self._driver[1]} is driving; ask them to release control")
             changed = self._driver is None
             if self._driver != (driver, name):
                 self._driver, self._command = (driver, name), (0.0, 0.0)
         if changed:
-            self._notify("info", f"{name} takes the helm")
+            self._notify("info", f"{name} takes control")
 
     def leave(self, driver: str) -> None:
-        """Give up the helm; the robot stops. Does nothing for anyone but the driver."""
+        """Release control; the robot stops. Does nothing for anyone but the driver."""
         with self._lock:
             if self._driver is None or self._driver[0] != driver:
                 return
             name = self._driver[1]
             self._driver, self._command = None, (0.0, 0.0)
-        self._notify("info", f"{name} lets go of the helm")
+        self._notify("info", f"{name} releases control")
 
     def drive(self, driver: str, speed: float, turn_rate: float, age: float = 0.0) -> None:
         """Command a forward speed and a turn rate; repeat it within `COMMAND_TIMEOUT`.
@@ -134,7 +134,7 @@ class Helm:
             raise HelmError(f"a command of {speed} m/s and {turn_rate} rad/s is not finite")
         with self._lock:
             if self._driver is None or self._driver[0] != driver:
-                raise HelmError("take the helm before you drive")
+                raise HelmError("take control before you drive")
             if age >= COMMAND_TIMEOUT:
                 return
             self._command = _clipped(speed, self._limits[0]), _clipped(turn_rate, self._limits[1])
@@ -163,7 +163,7 @@ class Helm:
         """
         with self._lock:
             if self._driver is None or self._driver[0] != driver:
-                raise HelmError("take the helm before you release the emergency stop")
+                raise HelmError("take control before you release the emergency stop")
             changed = bool(self._stop_reason())
             self._stopped, self._command = "", (0.0, 0.0)
             name = self._driver[1]

@@ -80,6 +80,7 @@ class Graph(Estimator):
     _settled: Revision | None = PrivateAttr(None)
     _final: PoseGraph | None = PrivateAttr(None)
     """The graph with the closures of the newest node, after `settle`."""
+    _final_closer: LoopCloser = PrivateAttr()
 
     def start(self, pose: Array, **parts: Any) -> None:
         """Begin at a pose (3,) with an empty map; see `Estimator.start`."""
@@ -235,9 +236,9 @@ class Graph(Estimator):
         """Refine all keyframes jointly; see `Estimator.settle`."""
         if len(self._graph) == 0:
             return None
-        graph, refused = copy(self._graph), ""
+        graph, refused, self._final_closer = copy(self._graph), "", self._closer.copy()
         try:
-            self._closer.copy().search(len(graph) - 1, self._keys, graph)
+            self._final_closer.search(len(graph) - 1, self._keys, graph)
             if graph.closures:
                 graph.solve()
         except NumericalError as error:
@@ -288,7 +289,8 @@ class Graph(Estimator):
 
     def counts(self) -> Mapping[str, int]:
         """Return the numbers of loop closures tried and closed in this run, and of sessions."""
-        tried = self._closer.recogniser.counts["attempts"]
+        closer = self._closer if self._final is None else self._final_closer
+        tried = closer.recogniser.counts["attempts"]
         closed = (self._final or self._graph).closures - self._closed_before
         counts = {"loops tried": tried, "loops closed": closed}
         first = np.unique(self._keys.sessions, return_index=True)[1]

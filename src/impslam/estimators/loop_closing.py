@@ -136,6 +136,7 @@ class LoopCloser:
         other = LoopCloser(self._search)
         other._pending, other.contradicted = list(self._pending), list(self.contradicted)
         other.doubtful, other._unconfirmed = self.doubtful, self._unconfirmed
+        other.recogniser.counts.update(self.recogniser.counts)
         return other
 
     def search(self, node: int, keys: KeyframeLog, graph: PoseGraph) -> bool:

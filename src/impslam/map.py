@@ -414,7 +414,7 @@ class Map:
         if not direction.is_clear:
             raise ImpError(
                 f"the walls have no main direction: {100 * direction.share:.0f} % of their length "
-                f"point one way and {100 * direction.rival:.0f} % another, within 5 degrees; "
+                f"is within 5 degrees of one direction, {100 * direction.rival:.0f} % of another; "
                 "straighten maps of rectangular buildings"
             )
         return self.moved(np.array([0.0, 0.0, -direction.angle]))

@@ -8,6 +8,7 @@ from tests.sources.logs import MRCLAM, read, write_mrclam
 
 from impslam.columns import messages
 from impslam.errors import SourceError
+from impslam.sources import mrclam
 from impslam.sources.mrclam import Mrclam
 from impslam.types import Detections, TruePose, Velocity
 
@@ -65,6 +66,15 @@ def test_the_robot_is_chosen_by_parameter_or_file(tmp_path):
         assert not of(list(messages(source.batches())), TruePose)  # without a tracked path
         others = [s for s in source.streams() if s.note == "--set source.robot=2"]
         assert [s.name for s in others] == ["Robot2_*.dat"]
+
+
+def test_the_robot_is_searched_once_however_often_the_size_is_asked(tmp_path, monkeypatch):
+    searched, robots = [], mrclam._robots
+    monkeypatch.setattr(mrclam, "_robots", lambda folder: searched.append(folder) or robots(folder))
+    folder = write_mrclam(tmp_path / "set")
+    with Mrclam(path=folder) as source:
+        assert len({source.total for _ in source.batches(1)}) == 1
+    assert searched == [folder]
 
 
 def test_a_missing_robot_is_an_error_that_lists_the_others(tmp_path):

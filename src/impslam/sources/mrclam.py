@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from functools import cached_property
 from pathlib import Path
 from typing import ClassVar
 
@@ -54,8 +55,9 @@ class Mrclam(TextSource):
         folder, _ = _split(path)
         return (path.is_dir() or _FILE.fullmatch(path.name) is not None) and bool(_robots(folder))
 
-    @property
+    @cached_property
     def _number(self) -> int:
+        """The robot to read; cached, because `total` is read after each batch."""
         folder, named = _split(self.path)
         robots = _robots(folder)
         number = self.robot or named or (robots[0] if robots else 0)

@@ -8,6 +8,11 @@ COMMANDS: dict[str, tuple[str, str, tuple[str, ...]]] = {
         "Simulate the arena from the thesis, map it, and score the map.",
         ("", "--seed 3 -o demo", "-c thesis-both"),
     ),
+    "inspect": (
+        "inspect:inspect",
+        "Print the contents of a log and any problems with it.",
+        ("drive.mcap", "drive.mcap -c myrobot.toml"),
+    ),
     "run": (
         "run:run",
         "Map a log and write the path, landmarks, grid and report to a folder.",
@@ -17,15 +22,30 @@ COMMANDS: dict[str, tuple[str, str, tuple[str, ...]]] = {
             "tuesday.mcap --map monday/map.imp --frozen -o tuesday",
         ),
     ),
-    "simulate": (
-        "simulate:simulate",
-        "Simulate a drive through a world and write its log and ground truth.",
-        ("office -o office.mcap", "hall.toml -o hall.mcap --seed 1 --set lidar.range_max=10"),
-    ),
     "evaluate": (
         "evaluate:evaluate",
         "Score runs against ground truth or measured relations.",
         ("first second -o compare.png", "first --truth truth.tum --json first.json"),
+    ),
+    "calibrate": (
+        "calibrate:calibrate",
+        "Calibrate a robot's wheels, lidar pose, latency and noise from its logs.",
+        ("drive.mcap -o mine.toml", "one.bag two.bag -c myrobot.toml --keep track -o mine.toml"),
+    ),
+    "map": (
+        "map:app",
+        "Inspect, straighten, compare, merge and export maps.",
+        ("info office.imp", "merge one.imp two.imp -o all.imp"),
+    ),
+    "robot": (
+        "robot:app",
+        "Serve a web page to drive the robot, record and map.",
+        ("--virtual", "-c robot.toml --record --map"),
+    ),
+    "simulate": (
+        "simulate:simulate",
+        "Simulate a drive through a world and write its log and ground truth.",
+        ("office -o office.mcap", "hall.toml -o hall.mcap --seed 1 --set lidar.range_max=10"),
     ),
     "sweep": (
         "sweep:sweep",
@@ -50,26 +70,6 @@ COMMANDS: dict[str, tuple[str, str, tuple[str, ...]]] = {
         "Reproduce the experiments of the thesis, with tables and figures.",
         ("points --seeds 1", "corridor --full -o corridor"),
     ),
-    "robot": (
-        "robot:app",
-        "Serve a web page to drive the robot, record and map.",
-        ("--virtual", "-c robot.toml --record --map"),
-    ),
-    "map": (
-        "map:app",
-        "Inspect, straighten, compare, merge and export maps.",
-        ("info office.imp", "merge one.imp two.imp -o all.imp"),
-    ),
-    "inspect": (
-        "inspect:inspect",
-        "Print the contents of a log and any problems with it.",
-        ("drive.mcap", "drive.mcap -c myrobot.toml"),
-    ),
-    "calibrate": (
-        "calibrate:calibrate",
-        "Calibrate a robot's wheels, lidar pose, latency and noise from its logs.",
-        ("drive.mcap -o mine.toml", "one.bag two.bag -c myrobot.toml --keep track -o mine.toml"),
-    ),
     "list": (
         "list:list_components",
         "List the components of each role and their parameters.",
@@ -87,4 +87,4 @@ COMMANDS: dict[str, tuple[str, str, tuple[str, ...]]] = {
     ),
 }
 """Each command's module and function (imported only when called, so that `imp --help` is quick), its
-summary, and examples of its arguments."""
+summary, and examples of its arguments, in the order in which a user with a log needs them."""

@@ -32,6 +32,6 @@ COMMANDS = {
 """Summary and example of each command NAME: the function NAME in `map_NAME`, imported when called."""
 
 app = App(name="map")
-for _name, (_summary, _example) in COMMANDS.items():
+for _number, (_name, (_summary, _example)) in enumerate(COMMANDS.items()):
     _help = help_text(_summary, f"map {_name}", _example)
-    app.command(f"impslam.cli.map_{_name}:{_name}", name=_name, help=_help)
+    app.command(f"impslam.cli.map_{_name}:{_name}", name=_name, help=_help, sort_key=_number)

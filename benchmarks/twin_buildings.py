@@ -20,6 +20,7 @@ from impslam.types import Array
 BEAMS, FIELD, MAX_RANGE, NOISE = 360, np.radians(270.0), 20.0, 0.01
 CORRIDOR_WIDTH, DOOR_WIDTH = 2.0, 1.0  # m
 KINDS, UNIQUE_SHARE = 3, 1.0 / 3.0  # kinds of rooms, and the share of unique rooms
+DRIVE_SCANS, DRIVE_STEP = 6, 0.4  # of a drive of 2 m, and m between them
 CLEARANCE = 0.4  # m between a robot and walls or furniture
 ANGLES = (np.arange(BEAMS) + 0.5) / BEAMS * FIELD - 0.5 * FIELD
 
@@ -61,6 +62,18 @@ class Building(NamedTuple):
             turned = np.column_stack([xy, rng.uniform(-np.pi, np.pi, count)])
             found = np.concatenate([found, self.clear(turned)])
         return found[:count]
+
+    def drives(self, rng: np.random.Generator, count: int, above: float) -> Array:
+        """Return straight drives (count, DRIVE_SCANS, 3) that end at y > `above` m, at random places."""
+        back = DRIVE_STEP * np.arange(DRIVE_SCANS)[::-1, None]
+        found: list[Array] = []
+        while len(found) < count:
+            for end in self.places(rng, count):
+                way = np.tile(end, (DRIVE_SCANS, 1))
+                way[:, :2] -= back * np.array([np.cos(end[2]), np.sin(end[2])])
+                if end[1] > above and len(self.clear(way)) == DRIVE_SCANS:
+                    found.append(way)
+        return np.array(found[:count])
 
     def map(self, rng: np.random.Generator) -> Keyframes:
         """Return keyframes at true poses, about a metre apart, two of opposite heading at each."""

@@ -8,9 +8,9 @@ One part of each log is mapped, and scans of the other part are searched in this
 minutes most places are in both parts; with the halves of the building left and right of the median
 keyframe they are not. The truth is the settled map of the whole log. A pose is covered by the map if at
 most 30 % of its beams end in unknown space and a scan of the map was taken within 1.5 m; it is outside if
-more than 60 % do. In simulated buildings with twins, one half is mapped as well, and scans of the other half
-are searched: many look like a place of the map, so most answers of found are wrong there. An answer is correct within 0.3 m and 5 degrees; an answer reported as found that is not
-correct is silently wrong.
+more than 60 % do. Of simulated buildings with twins, one half is also mapped alone, and scans of the other
+half are searched in it: many look like a place of the map. An answer is correct within 0.3 m and 5 degrees;
+an answer reported as found that is not correct is silently wrong.
 """
 
 from __future__ import annotations

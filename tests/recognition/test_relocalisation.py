@@ -187,6 +187,27 @@ def test_a_twin_that_is_mapped_in_part_is_not_excluded(unknown, verdict):
     places = np.array([[8.2, 20.4, -1.7], [7.3, 12.1, 1.4]])
     whole = Explanation(0.92, 0.98, 0.02, 0.0, 0.0)
     part = Explanation(0.73, 0.84, 0.08 - unknown, 0.08, unknown)
-    told = answer([(whole, places[0]), (part, places[1])], 0.4, complete=True)
+    told = answer([(whole, places[0]), (part, places[1])], 200.0, complete=True, whole=True)
     assert told.verdict == verdict
     assert told.hypotheses[0].odds >= told.hypotheses[1].odds
+
+
+SEEN = Explanation(
+    0.6, 0.72, 0.03, 0.05, 0.0
+)  # of a scan with 50 points: 0.82 is reached by chance
+FAR = np.array([[1.0, 2.0, 0.5], [9.0, 4.0, -1.0]])
+
+
+@pytest.mark.parametrize(
+    ("second", "whole", "verdict"),
+    [(0.15, True, Verdict.FOUND), (0.25, True, Verdict.NOWHERE), (0.15, False, Verdict.NOWHERE)],
+)
+def test_a_clear_lead_in_the_whole_map_is_no_chance(second, whole, verdict):
+    places = [(SEEN, FAR[0]), (SEEN._replace(score=second), FAR[1])]
+    assert answer(places, 50.0, complete=True, whole=whole).verdict == verdict
+
+
+@pytest.mark.parametrize(("points", "verdict"), [(150.0, Verdict.FOUND), (60.0, Verdict.NOWHERE)])
+def test_beams_that_end_in_unknown_space_neither_count_nor_support(points, verdict):
+    part = Explanation(0.45, 0.5, 0.0, 0.0, 0.5)
+    assert answer([(part, FAR[0])], points, complete=True, whole=True).verdict == verdict

@@ -26,7 +26,7 @@ class DrivePanel:
                 self._take = button(
                     "Take control", "take", self._on_take, "primary", "sports_esports"
                 )
-                self._leave = button("Let go", "leave", self._on_leave)
+                self._leave = button("Release control", "leave", self._on_leave)
             with ui.element("div").classes("notice") as self._stopped:
                 self._why = text("stopped", "")
                 self._release = button("Release", "release", self._on_release, "danger")

@@ -96,3 +96,11 @@ def test_on_an_arc_along_a_round_wall_nothing_is_concluded():
     step = np.array([0.05, 0.0, 0.05 / off])
     _, reasons = checked(ranges, np.tile(step, (m, 1)))
     assert not reasons.any()
+
+
+def test_a_robot_that_drives_along_a_wall_it_should_approach_is_left_alone():
+    """Noisy odometry reports motion to the side; the ranges to the walls beside the robot do not change."""
+    rng, m = np.random.default_rng(3), 20
+    ranges = np.array([box(0.1 * k, 0.1, 3.0, 1.0, rng) for k in range(m)])
+    _, reasons = checked(ranges, np.tile([0.0, 0.1, 0.0], (m, 1)))
+    assert not reasons.any()

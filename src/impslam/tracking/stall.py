@@ -3,12 +3,13 @@
 A reference scan is kept. Once odometry reports enough motion since, the ranges that this motion would have
 changed are predicted: each reference point, seen from the pose given by odometry, is compared with the
 range measured before by the beam in its direction. If nearly all beams that should have changed still
-measure the same, and still do after twice the motion, the robot is stationary. One comparison is not
-enough: things along a corridor may repeat. Along a bare corridor no range would change, so nothing is
-concluded; a scan matcher could report any motion there. Turns reported by odometry are left out: its
-heading is often wrong by enough to change many ranges. But if no range would change with the turn either,
-as on an arc along a round wall, nothing is concluded. Wheels that turn the robot in vain are detected by
-`odometry_check`.
+measure the same, and still do after as much motion once more, the robot is stationary. One comparison is
+not enough: things along a corridor may repeat, and a wheel may slip. Nor is one direction: if odometry is
+noisy, the robot may have moved along walls that it expects to approach. Along a bare corridor no range
+would change, so nothing is concluded; a scan matcher could report any motion there. Turns reported by
+odometry are left out: its heading is often wrong by enough to change many ranges. But if no range would
+change with the turn either, as on an arc along a round wall, nothing is concluded. Wheels that turn the
+robot in vain are detected by `odometry_check`.
 """
 
 from __future__ import annotations
@@ -94,17 +95,17 @@ def notice_stall(odometry: Array, beams: BeamColumns, k: int, state: StallState)
     """Return whether the robot is stalled at sweep k, after a motion (3,) of odometry."""
     advance_pose(state.odometry, odometry)
     if state.flags[0] and not state.flags[1]:
-        distance, factor = math.hypot(state.odometry[0], state.odometry[1]), 1 + state.flags[3]
-        if distance < factor * MIN_MOTION[0] and abs(state.odometry[2]) < factor * MIN_MOTION[1]:
+        distance = math.hypot(state.odometry[0], state.odometry[1])
+        if distance < MIN_MOTION[0] and abs(state.odometry[2]) < MIN_MOTION[1]:
             return False
     # A stalled robot moves off in the direction of the newest motion.
     expected = odometry if state.flags[1] else state.odometry
     unchanged = state.flags[0] and _is_unchanged(beams.ranges[k], expected, beams.geometry, state)
+    state.odometry[:] = 0.0
     if unchanged and not state.flags[1] and not state.flags[3]:
         state.flags[3] = True
         return False
     state.flags[1], state.flags[3] = unchanged, False
-    state.odometry[:] = 0.0
     if not state.flags[1]:
         state.flags[0] = state.flags[2] = True
         state.points[:], state.ranges[:] = beams.points[k], beams.ranges[k]
@@ -115,15 +116,17 @@ def notice_stall(odometry: Array, beams: BeamColumns, k: int, state: StallState)
 def _is_unchanged(ranges: Array, expected: Array, geometry: Geometry, state: StallState) -> bool:
     """Return whether nearly all ranges that a motion (3,) should have changed are those of the reference.
 
-    A shorter motion is scaled up to `MIN_MOTION` m, so that the beams that it would change stand out.
+    So must those be that a motion to the left of it would have changed. A shorter motion is scaled up to
+    `MIN_MOTION` m, so that the beams that it would change stand out.
     """
     distance = math.hypot(expected[0], expected[1])
     motion = expected * (max(MIN_MOTION[0] / distance, 1.0) if distance > 0.0 else 1.0)
-    turn, motion[2] = motion[2], 0.0
-    changed, same = _compare(ranges, motion, geometry, state)
-    if changed < MIN_BEAMS or same < MIN_UNCHANGED * changed:
-        return False
-    motion[2] = turn
+    forward = np.array([motion[0], motion[1], 0.0])
+    leftward = np.array([-motion[1], motion[0], 0.0])
+    for straight in (forward, leftward):
+        changed, same = _compare(ranges, straight, geometry, state)
+        if changed < MIN_BEAMS or same < MIN_UNCHANGED * changed:
+            return False
     return _compare(ranges, motion, geometry, state)[0] >= MIN_BEAMS
 
 

@@ -1,7 +1,8 @@
 """Match the scans of a robot that stands although its wheels turn; see `stall`.
 
 Its scans show no motion at all, but where few points determine the position along a corridor, matches
-follow odometry. So they begin at the pose of the scan that has not changed since.
+follow odometry. So they begin at the pose of the scan that has not changed since. The motions of odometry
+whose noise is as large as they are do not show that the wheels turn.
 """
 
 from __future__ import annotations
@@ -10,14 +11,19 @@ from impslam.geometry.kernels import kernel
 from impslam.health import STALLED
 from impslam.tracking.base import Steps
 from impslam.tracking.beams import BeamColumns
+from impslam.tracking.learned_odometry import variances
 from impslam.tracking.matching_state import State
-from impslam.tracking.stall import STALL_SIGMA, notice_stall
+from impslam.tracking.stall import MIN_MOTION, STALL_SIGMA, notice_stall
 
 
 @kernel
 def predict_stalled(beams: BeamColumns, k: int, state: State) -> bool:
     """Return whether the robot stands at sweep k although odometry moves; then predict where it stands."""
     stall = state.lidar.stall
+    noise, _ = variances(state.odometry, MIN_MOTION[0], 0.0)
+    if not stall.flags[1] and 9.0 * noise > MIN_MOTION[0] ** 2:  # 3 sigma
+        stall.flags[:] = False
+        return False
     if not notice_stall(state.motion, beams, k, stall):
         return False
     state.pose[:] = stall.pose

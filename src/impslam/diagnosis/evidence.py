@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from impslam.calibration.lidar_path import LidarPath, lidar_path, undistorted
+from impslam.calibration.lidar_path import LidarPath, lidar_path, undistorted, unmounted
 from impslam.calibration.recording import CalibrationRows, lidars_of
 from impslam.columns import Columns
 from impslam.config import Config
@@ -37,6 +37,7 @@ class Evidence:
     samples : scans to check beams with; None if there are too few
     sweep_motions : the motions along it, with stamps as received
     timing : when scans were taken
+    sweep_time : s, median duration of the sweeps by their beams' times; negative if the last beam is first
     times : (k, 2) s, begin and end of stretches on the odometry's clock, where both are known
     lidar_motion, odometry_motion : (k, 3) twists over the stretches, of the laser and of base_link
     axis : driving direction, from the laser; None if it cannot be determined
@@ -56,6 +57,7 @@ class Evidence:
     samples: BeamSamples | None
     sweep_motions: SweepMotions
     timing: Timing
+    sweep_time: float
     times: Array
     lidar_motion: Array
     odometry_motion: Array
@@ -123,9 +125,9 @@ def gather_evidence(config: Config, name: str, recording: CalibrationRows) -> Ev
             axle_motion = motion_along(lidar_motion, axis.angle)
             agreement = fit_agreement(axle_motion, odometry_motion)
     return Evidence(
-        config, name, lidar, robot.odometry, recording, path, samples, sweeps, timing, times,
-        lidar_motion, odometry_motion, axis, axle_motion, agreement, _total(odometer),
-        len(lidars) == 1,
+        config, name, lidar, robot.odometry, recording, path, samples, sweeps, timing,
+        _sweep_time(lidar, recording.scans), times, lidar_motion, odometry_motion, axis, axle_motion,
+        agreement, _total(odometer), len(lidars) == 1,
     )  # fmt: skip
 
 
@@ -136,6 +138,17 @@ def confirmed(every: Sequence[Evidence]) -> list[Evidence]:
         replace(e, is_odometry_confirmed=any(alike[:k] + alike[k + 1 :]))
         for k, e in enumerate(every)
     ]
+
+
+def _sweep_time(lidar: Lidar2D, scans: Sequence[Columns]) -> float:
+    """Return the median duration of the sweeps, s, by their beams' times; negative if the last is first.
+
+    Drivers that measure the time of a revolution double it when they lose one, so the longest sweep says
+    little.
+    """
+    spans = [unmounted(lidar).spans(piece) for piece in scans]
+    every = np.concatenate([ends - begins for begins, ends in spans]) if spans else np.zeros(1)
+    return float(np.median(every)) * (-1.0 if lidar.last_beam_first else 1.0)
 
 
 def _total(odometer: Odometer) -> float:

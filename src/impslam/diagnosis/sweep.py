@@ -51,7 +51,7 @@ a second of computing; and the least number."""
 
 def check_overlap(e: Evidence) -> Iterator[Finding]:
     """Find sweeps that last longer, by their beams' times, than the time between scans."""
-    sweep, period = abs(given_time(e)), e.timing.period
+    sweep, period = abs(e.sweep_time), e.timing.period
     if not (e.lidar.deskew and period and sweep > MAX_SWEEP_RATIO * period):
         return
     found = _estimate(e)
@@ -78,7 +78,7 @@ def check_sweep(e: Evidence) -> list[Finding]:
     found = _estimate(e) if e.lidar.deskew and not e.untimed else None
     if found is None:
         return []
-    (seconds, sigma), given = found, given_time(e)
+    (seconds, sigma), given = found, e.sweep_time
     off = seconds - given
     if not is_off(off, sigma, TIME_TOLERANCE):
         return []
@@ -105,22 +105,11 @@ def check_sweep(e: Evidence) -> list[Finding]:
 def _settings(e: Evidence, seconds: float) -> tuple[str, ...]:
     """Return the settings for a duration of sweeps; negative if the last beam is first."""
     settings, is_last_first = list[str](), seconds < 0.0
-    if abs(abs(seconds) - abs(given_time(e))) > TIME_TOLERANCE:
+    if abs(abs(seconds) - abs(e.sweep_time)) > TIME_TOLERANCE:
         settings.append(f"{e.lidar_key}.sweep_time={abs(seconds):.4f}")
     if is_last_first != e.lidar.last_beam_first:
         settings.append(f"{e.lidar_key}.last_beam_first={str(is_last_first).lower()}")
     return tuple(settings)
-
-
-def given_time(e: Evidence) -> float:
-    """Return the median duration of the sweeps, s, by their beams' times; negative if the last is first.
-
-    Drivers that measure the time of a revolution double it when they lose one, so the longest sweep says
-    little.
-    """
-    spans = [unmounted(e.lidar).spans(piece) for piece in e.recording.scans]
-    every = np.concatenate([ends - begins for begins, ends in spans]) if spans else np.zeros(1)
-    return float(np.median(every)) * (-1.0 if e.lidar.last_beam_first else 1.0)
 
 
 def _estimate(e: Evidence) -> tuple[float, float] | None:
@@ -134,7 +123,7 @@ def _estimate(e: Evidence) -> tuple[float, float] | None:
     from impslam.diagnosis.sweep_time import sweep_time  # noqa: PLC0415  0.2 s, only after turns
 
     own = Lidar2D(**{**unmounted(e.lidar).model_dump(), "deskew": True, "last_beam_first": False})
-    return sweep_time(own, e.recording.scans, e.path, pairs, given_time(e), period)
+    return sweep_time(own, e.recording.scans, e.path, pairs, e.sweep_time, period)
 
 
 def turning_pairs(path: LidarPath, scans: Sequence[Columns], period: float) -> Ints:

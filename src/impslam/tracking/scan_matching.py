@@ -45,6 +45,7 @@ from impslam.tracking.matching_state import ScanMatch, Settings, State
 from impslam.tracking.pose_search import SEARCH_BELOW, USUAL_SHARE, find_pose
 from impslam.tracking.reach import widen_after_gap
 from impslam.tracking.self_deskewing import deskew, set_twist
+from impslam.tracking.stall import IS_STALLED
 from impslam.tracking.stalled import predict_stalled, report_stalled, set_reference_pose
 from impslam.tracking.submaps import extend, is_empty, older_map
 from impslam.types import Array
@@ -328,7 +329,7 @@ def _contradicts(beams: BeamColumns, k: int, state: State, no_odometry: bool) ->
 def _learn(state: State, match: ScanMatch, located: bool) -> None:
     """Learn the bias and noise of odometry from a match."""
     fit, turned = match.fit, bool(match.H[2, 2] * state.prior[1] > 1.0)
-    plausible = fit.share > 0.6 and not state.lidar.stall.flags[1]
+    plausible = fit.share > 0.6 and not state.lidar.stall.flags[IS_STALLED]
     plausible = plausible and abs(fit.off[2]) < 4.0 * math.sqrt(state.prior[1])
     plausible = plausible and abs(fit.off[0]) < 4.0 * math.sqrt(state.prior[0])
     quality = min(1.0, state.averages[0] / USUAL_SHARE) ** 4

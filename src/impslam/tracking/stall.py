@@ -39,6 +39,9 @@ MIN_UNCHANGED = 0.8
 STALL_SIGMA = 0.05
 """m, 1 sigma, of a stalled robot: its wheels may have shoved it."""
 
+HAS_REFERENCE, IS_STALLED, POSE_IS_DUE, UNCHANGED_ONCE = range(4)
+"""Indices of `StallState.flags`."""
+
 
 class StallState(NamedTuple):
     """The reference scan of one lidar and the motion since; kernels change it in place.
@@ -49,8 +52,9 @@ class StallState(NamedTuple):
     odometry : (3,) motion since the last comparison, by odometry
     pose : (3,) of base_link at the reference scan, in the frame of a map; or the motion since, see
         `undo_stalled_motion`
-    flags : (4,) whether there is a reference scan, whether the robot is stalled, whether the newest sweep
-        is the reference scan, until its pose is set, and whether the ranges were unchanged once
+    flags : (4,) by `HAS_REFERENCE`, whether there is a reference scan; by `IS_STALLED`, whether the robot
+        is; by `POSE_IS_DUE`, whether the newest sweep has become the reference scan and `pose` is not set
+        yet; by `UNCHANGED_ONCE`, whether one comparison has found the ranges unchanged
     """
 
     ranges: Array
@@ -86,30 +90,32 @@ def undo_stalled_motion(
             for a in range(3):
                 used.covariance[k, a, a] += STALL_SIGMA**2
             reasons[k] = STALLED
-        if state.flags[1] or state.flags[2]:
-            state.pose[:], state.flags[2] = 0.0, False
+        if state.flags[IS_STALLED] or state.flags[POSE_IS_DUE]:
+            state.pose[:], state.flags[POSE_IS_DUE] = 0.0, False
 
 
 @kernel
 def notice_stall(odometry: Array, beams: BeamColumns, k: int, state: StallState) -> bool:
     """Return whether the robot is stalled at sweep k, after a motion (3,) of odometry."""
     advance_pose(state.odometry, odometry)
-    if state.flags[0] and not state.flags[1]:
+    if state.flags[HAS_REFERENCE] and not state.flags[IS_STALLED]:
         distance = math.hypot(state.odometry[0], state.odometry[1])
         if distance < MIN_MOTION[0] and abs(state.odometry[2]) < MIN_MOTION[1]:
             return False
     # A stalled robot moves off in the direction of the newest motion.
-    expected = odometry if state.flags[1] else state.odometry
-    unchanged = state.flags[0] and _is_unchanged(beams.ranges[k], expected, beams.geometry, state)
+    expected = odometry if state.flags[IS_STALLED] else state.odometry
+    unchanged = state.flags[HAS_REFERENCE] and _is_unchanged(
+        beams.ranges[k], expected, beams.geometry, state
+    )
     state.odometry[:] = 0.0
-    if unchanged and not state.flags[1] and not state.flags[3]:
-        state.flags[3] = True
+    if unchanged and not state.flags[IS_STALLED] and not state.flags[UNCHANGED_ONCE]:
+        state.flags[UNCHANGED_ONCE] = True
         return False
-    state.flags[1], state.flags[3] = unchanged, False
-    if not state.flags[1]:
-        state.flags[0] = state.flags[2] = True
+    state.flags[IS_STALLED], state.flags[UNCHANGED_ONCE] = unchanged, False
+    if not state.flags[IS_STALLED]:
+        state.flags[HAS_REFERENCE] = state.flags[POSE_IS_DUE] = True
         state.points[:], state.ranges[:] = beams.points[k], beams.ranges[k]
-    return bool(state.flags[1])
+    return bool(state.flags[IS_STALLED])
 
 
 @kernel

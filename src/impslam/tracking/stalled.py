@@ -13,7 +13,7 @@ from impslam.tracking.base import Steps
 from impslam.tracking.beams import BeamColumns
 from impslam.tracking.learned_odometry import variances
 from impslam.tracking.matching_state import State
-from impslam.tracking.stall import MIN_MOTION, STALL_SIGMA, notice_stall
+from impslam.tracking.stall import IS_STALLED, MIN_MOTION, POSE_IS_DUE, STALL_SIGMA, notice_stall
 
 
 @kernel
@@ -21,7 +21,7 @@ def predict_stalled(beams: BeamColumns, k: int, state: State) -> bool:
     """Return whether the robot stands at sweep k although odometry moves; then predict where it stands."""
     stall = state.lidar.stall
     noise, _ = variances(state.odometry, MIN_MOTION[0], 0.0)
-    if not stall.flags[1] and 9.0 * noise > MIN_MOTION[0] ** 2:  # 3 sigma
+    if not stall.flags[IS_STALLED] and 9.0 * noise > MIN_MOTION[0] ** 2:  # 3 sigma
         stall.flags[:] = False
         return False
     if not notice_stall(state.motion, beams, k, stall):
@@ -43,5 +43,5 @@ def report_stalled(k: int, state: State, out: Steps) -> None:
 def set_reference_pose(state: State) -> None:
     """Store the pose of the newest scan, after its match, if it has become the reference scan."""
     stall = state.lidar.stall
-    if stall.flags[2]:
-        stall.pose[:], stall.flags[2] = state.pose, False
+    if stall.flags[POSE_IS_DUE]:
+        stall.pose[:], stall.flags[POSE_IS_DUE] = state.pose, False

@@ -142,9 +142,9 @@ def of_scans() -> Iterator[Fault]:
     yield Fault("scan mirrored", "", ("scan mirrored",), faults.mirrored)
     for d in (5, 20, 90, 180):
         change = partial(faults.turned, d / 57.29578)
-        yield Fault("laser turned", f"{d}°", ("laser turned",), change)
+        yield Fault("lidar rotated", f"{d}°", ("lidar rotated",), change)
     for m in (0.1, 0.3):
-        name = "laser elsewhere"
+        name = "lidar displaced"
         yield Fault(name, f"{m} m", (name,), settings=displaced(m), mounted=True)
     for size in ("3 m", AT_LIMIT):
         name = "value for no return"
@@ -156,7 +156,7 @@ def of_scans() -> Iterator[Fault]:
     yield Fault("dead sector", "20°", ("dead sector",), partial(faults.blocked, 20 / 57.3))
     for x in (0.7, 0.9, 1.1):
         change = partial(faults.scaled_ranges, x)
-        yield Fault("ranges scale", f"{x - 1:+.0%}", ("ranges scale", "odometry scale"), change)
+        yield Fault("range scale", f"{x - 1:+.0%}", ("range scale", "odometry scale"), change)
 
 
 def of_stamps() -> Iterator[Fault]:
@@ -187,8 +187,8 @@ def of_odometry() -> Iterator[Fault]:
 
 def of_wheels() -> Iterator[Fault]:
     """Yield faults of encoders and wheels."""
-    exchanged = ("wheels exchanged", "scan mirrored")
-    yield Fault("wheels exchanged", "", exchanged, faults.exchanged, needs=WHEELS)
+    swapped = ("wheels swapped", "scan mirrored")
+    yield Fault("wheels swapped", "", swapped, faults.swapped, needs=WHEELS)
     for side in ("left", "right"):
         change = partial(faults.reversed_wheels, side)
         yield Fault("wheel reversed", side, ("wheel reversed",), change, needs=WHEELS)

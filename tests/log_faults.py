@@ -134,7 +134,7 @@ def reversed_sweep() -> Change:
 # --------------------------------------------------------------------------- wheels
 
 
-def exchanged(scale: float = 1.0) -> Change:
+def swapped(scale: float = 1.0) -> Change:
     return of(
         WheelAngles, lambda c: with_values(c, left=scale * c["right"], right=scale * c["left"])
     )

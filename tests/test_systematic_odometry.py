@@ -7,8 +7,8 @@ import pytest
 
 from impslam.columns import batches
 from impslam.config import load
-from impslam.diagnosis.diagnose import first_health
-from impslam.health import SOUND
+from impslam.diagnosis.diagnose import find_log_fault
+from impslam.health import NO_FAULT
 from impslam.noise import MotionNoise
 from impslam.observers.base import Observer
 from impslam.odometry.encoders import Encoders
@@ -160,4 +160,4 @@ def test_a_clean_drive_begins_sound(seed, tmp_path):
     with McapWriter(log) as writer:
         for message in simulate(load_world("arena"), SimulatedRobot(), seed):
             writer.write(message)
-    assert first_health(*open_log(log, "imp")) == SOUND
+    assert find_log_fault(*open_log(log, "imp")) == NO_FAULT

@@ -66,7 +66,7 @@ _DESCRIPTIONS = (
     "the scans show another motion than odometry; the pose follows the scans",
     "the robot moves, the wheels do not; the pose follows the scans",
     "the wheels turn, the robot does not; the pose follows the scans",
-    "odometry and scans turn opposite ways: wheels are swapped, or the lidar is mirrored",
+    "odometry and scans turn in opposite directions: wheels are swapped, or the lidar is mirrored",
     "no data of odometry or of sensors for {0:.0f} s, and the robot has moved; the position is uncertain",
     "{1:.0f} % of the scan has changed at once; the position is uncertain",
     "{1:.0f} % of the scan has changed at once, as if the robot was carried; the position is uncertain",
@@ -85,15 +85,15 @@ _DESCRIPTIONS = (
 _SHARES = (UNEXPLAINED, ELSEWHERE)
 
 
-class Standing(NamedTuple):
-    """A fault of the whole run: a reason (`NONE` without a fault) and the amount that goes with it."""
+class LogFault(NamedTuple):
+    """A fault of a log that affects all poses: a reason (`NONE` without a fault) and its amount."""
 
     reason: int = NONE
     amount: float = 0.0
 
 
-SOUND = Standing()
-"""A run without such a fault."""
+NO_FAULT = LogFault()
+"""A log without such a fault."""
 
 
 class Span(NamedTuple):

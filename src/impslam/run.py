@@ -22,12 +22,12 @@ from impslam.bookkeeping import Stopwatch, about, dropped, seal
 from impslam.columns import Batch, Motions, Sweeps, batches
 from impslam.config import Config
 from impslam.continuing import Continuation, KnownMap, begin_with
-from impslam.diagnosis.diagnose import first_health
+from impslam.diagnosis.diagnose import find_log_fault
 from impslam.diagnosis.odometry_watch import OdometryWatch
 from impslam.errors import Interrupted, SourceError, in_a_line
 from impslam.estimators.base import Draft, completed
 from impslam.geometry.se2 import compose, compose_uncertain
-from impslam.health import SOUND, UNEXPLAINED, Standing
+from impslam.health import NO_FAULT, UNEXPLAINED, LogFault
 from impslam.map import Keyframe, Keyframes, Map, PathRows, T_map_odom, Track
 from impslam.map_builder import MapBuilder, blended
 from impslam.observers.base import Dropped, Observer, Outcome, checked_observers
@@ -100,7 +100,7 @@ def run(  # noqa: PLR0913  # each is a choice that a user may make
     if begin is not None:
         chosen = for_continuing(chosen, settings)
     given = checked_observers(observers)
-    return map_log(chosen, source, given, progress, begin, first_health(chosen, source))
+    return map_log(chosen, source, given, progress, begin, find_log_fault(chosen, source))
 
 
 def map_log(
@@ -109,10 +109,10 @@ def map_log(
     observers: Iterable[Observer] = (),
     progress: Progress | None = None,
     begin: KnownMap | None = None,
-    health: Standing = SOUND,
+    fault: LogFault = NO_FAULT,
 ) -> Map:
-    """Map the log of a source; see `run`. `health` is the initial health, which applies to all poses."""
-    current = Run(config, observers, begin, health)
+    """Map the log of a source; see `run`. `fault` is one of the whole log, which affects all poses."""
+    current = Run(config, observers, begin, fault)
     report = progress or _ignore
     place: tuple[int, int | None] = 0, None
     current.estimator.check_with(lambda: report(*place))
@@ -134,7 +134,7 @@ class Run:
     """A run in progress: takes batches, returns the current map at any time.
 
     Logs, replays and live robots share this class and differ only in the source of the batches. It is not
-    thread-safe. `begin` is a map to continue, `health` the initial health, which applies to all poses.
+    thread-safe. `begin` is a map to continue, `fault` one of the whole log, which affects all poses.
     """
 
     def __init__(
@@ -142,9 +142,9 @@ class Run:
         config: Config,
         observers: Iterable[Observer] = (),
         begin: KnownMap | None = None,
-        health: Standing = SOUND,
+        fault: LogFault = NO_FAULT,
     ) -> None:
-        self.config, self._health = config, HealthMonitor(health)
+        self.config, self._health = config, HealthMonitor(fault)
         self.robot = config.make_robot(for_estimator=True)
         self.tracker = config.make_tracker()
         self._watch = OdometryWatch(self.robot)

@@ -17,11 +17,11 @@ from impslam.config import load
 from impslam.diagnosis.agreement import drive_axis, fit_agreement
 from impslam.diagnosis.diagnose import diagnose
 from impslam.diagnosis.evidence import gather_evidence
-from impslam.diagnosis.finding import Finding, worst_health
+from impslam.diagnosis.finding import Finding, worst_fault
 from impslam.diagnosis.mount import check_mount, relative_to_axle
 from impslam.diagnosis.robust import RobustFit
 from impslam.diagnosis.scales import check_scales
-from impslam.health import MISALIGNED, MISSCALED, MISTIMED, OPPOSED, SOUND
+from impslam.health import MISALIGNED, MISSCALED, MISTIMED, NO_FAULT, OPPOSED
 from impslam.simulation.robot import Lidar, SimulatedRobot, WheelEncoders
 from impslam.simulation.simulate import simulate
 from impslam.simulation.world import load_world
@@ -75,23 +75,23 @@ def harmful(findings: Iterable[Finding]) -> dict:
     return {one.kind: one for one in findings if one.harmful}
 
 
-def test_sound_log_has_no_findings_and_sound_health(drive) -> None:
+def test_sound_log_has_no_findings_and_no_fault(drive) -> None:
     findings = found(drive)
     assert findings == []
-    assert worst_health(findings) == SOUND
+    assert worst_fault(findings) == NO_FAULT
 
 
 CASES = {
-    "exchanged, with gyro": (faults.exchanged(), (), "wheels exchanged"),
+    "swapped, with gyro": (faults.swapped(), (), "wheels swapped"),
     "mirrored, with gyro": (faults.mirrored(), (), "scan mirrored"),
     "left reversed": (faults.reversed_wheels("left"), (), "wheel reversed"),
     "right reversed": (faults.reversed_wheels("right"), (), "wheel reversed"),
     "both reversed": (faults.reversed_wheels("left", "right"), (), "wheels reversed"),
-    "turned by 20 degrees": (faults.turned(0.35), (), "laser turned"),
-    "astern": (faults.turned(3.14159), (), "laser turned"),
-    "ranges 10 % short": (faults.scaled_ranges(0.9), (), "ranges scale"),
+    "turned by 20 degrees": (faults.turned(0.35), (), "lidar rotated"),
+    "astern": (faults.turned(3.14159), (), "lidar rotated"),
+    "ranges 10 % short": (faults.scaled_ranges(0.9), (), "range scale"),
     # at 10 %, with the slip in turns, a wrong wheel radius explains the motion as well
-    "ranges 20 % long": (faults.scaled_ranges(1.2), (), "ranges scale"),
+    "ranges 20 % long": (faults.scaled_ranges(1.2), (), "range scale"),
     "ranges in mm": (faults.millimetres(5600.0), (), "ranges in mm"),
     "late": (faults.late(0.2), (), "stamps late"),
     "sweep reversed": (faults.reversed_sweep(), (), "sweep reversed"),
@@ -102,7 +102,7 @@ CASES = {
     ),
     "no time_increment": (faults.sweep_of(0.0), (), "sweep time wrong"),
     "standing": (faults.standing(), (), "odometry stands still"),
-    "standing, with noise": (faults.exchanged(1e-4), (), "odometry stands still"),
+    "standing, with noise": (faults.swapped(1e-4), (), "odometry stands still"),
     "track": (faults.nothing(), ("odometry.track=0.46",), "track"),
     "radius": (faults.nothing(), ("odometry.wheel_radius=0.08",), "wheel radius"),
     "ratio": (faults.nothing(), ("odometry.right_left_ratio=1.1",), "wheels unequal"),
@@ -114,7 +114,7 @@ CASES = {
     "body": (faults.body(0.3), (), "own body in view"),
     "sweep": (faults.sweep_of(0.5), (), "sweep too long"),
     "stops": (faults.stopping(20.0, 10.0), (), "odometry stops"),
-    "mount": (faults.nothing(), ("sensors.lidar.mount=[-0.1,0,0]",), "laser elsewhere"),
+    "mount": (faults.nothing(), ("sensors.lidar.mount=[-0.1,0,0]",), "lidar displaced"),
 }
 
 
@@ -136,32 +136,32 @@ def test_a_laser_behind_the_axle_is_reported_behind_it() -> None:
 
 
 SPOILED = {
-    "exchanged, with gyro": (OPPOSED, 0.0, 0.0),
+    "swapped, with gyro": (OPPOSED, 0.0, 0.0),
     "left reversed": (OPPOSED, 0.0, 0.0),
     "turned by 20 degrees": (MISALIGNED, 20.0, 1.0),
     "ranges 10 % short": (MISSCALED, 0.11, 0.02),
     "late": (MISTIMED, 0.2, 0.03),
     "radius": (MISSCALED, 0.26, 0.03),
-    "body": (SOUND.reason, 0.0, 0.0),
+    "body": (NO_FAULT.reason, 0.0, 0.0),
 }
 
 
 @pytest.mark.parametrize("name", SPOILED)
-def test_worst_health_gives_reason_and_amount(findings, name) -> None:
-    health = worst_health(findings(name))
+def test_worst_fault_gives_reason_and_amount(findings, name) -> None:
+    fault = worst_fault(findings(name))
     reason, amount, within = SPOILED[name]
-    assert health.reason == reason
-    assert health.amount == pytest.approx(amount, abs=within)
+    assert fault.reason == reason
+    assert fault.amount == pytest.approx(amount, abs=within)
 
 
-@pytest.mark.parametrize(("seconds", "reason"), [(0.12, SOUND.reason), (0.3, MISTIMED)])
+@pytest.mark.parametrize(("seconds", "reason"), [(0.12, NO_FAULT.reason), (0.3, MISTIMED)])
 def test_scan_matching_tolerates_a_lag_of_one_sweep_but_not_of_a_queue(
     drive, seconds, reason
 ) -> None:
     wrong = list(faults.faulty(drive, faults.late(seconds)))
     findings = found(wrong, "tracker.kind=scan_to_map", "estimator.kind=graph")
     assert [one.kind for one in findings] == ["stamps late"]
-    assert worst_health(findings).reason == reason
+    assert worst_fault(findings).reason == reason
 
 
 @pytest.mark.parametrize("seconds", [-8.0, -2.5, 1.0, 5.0])
@@ -178,7 +178,7 @@ def test_the_clock_of_another_computer_is_found(drive, seconds) -> None:
 def test_clocks_that_share_no_time_are_aligned_by_the_order_of_the_log(drive, seconds) -> None:
     wrong = list(faults.faulty(drive, faults.late(seconds)))
     (finding,) = found(wrong, MATCHED)
-    assert finding.kind == "clocks apart"
+    assert finding.kind == "clocks differ"
     assert set_by(finding.fix)["sensors.lidar.latency"] == pytest.approx(seconds, abs=0.2)
     assert harm(wrong, MATCHED, *finding.fix) == {}
 
@@ -214,7 +214,7 @@ def test_fault_is_found_and_its_settings_fix_it(drive, findings, name: str) -> N
     change, settings, kind = CASES[name]
     problems = harmful(findings(name))
     assert list(problems) == [kind]
-    assert problems[kind].sure > 0.99 or problems[kind].advice
+    assert problems[kind].certainty > 0.99 or problems[kind].advice
     wrong = list(faults.faulty(drive, change))
     assert harm(wrong, *settings, *problems[kind].fix) == {}
 
@@ -417,11 +417,11 @@ def creeping_wheels() -> faults.Change:
     )
 
 
-def test_mirrored_or_exchanged_without_a_gyro(drive) -> None:
+def test_mirrored_or_swapped_without_a_gyro(drive) -> None:
     quiet = [{name: c for name, c in batch.items() if name != "Imu"} for batch in drive]
-    problems = harm(faults.faulty(quiet, faults.exchanged()))
-    assert problems["scan mirrored"].sure == 0.5
-    assert "odometry.exchanged=true" in problems["scan mirrored"].advice
+    problems = harm(faults.faulty(quiet, faults.swapped()))
+    assert problems["scan mirrored"].certainty == 0.5
+    assert "odometry.swapped=true" in problems["scan mirrored"].advice
 
 
 def test_logs_without_usable_data_have_no_harmful_findings(drive) -> None:

@@ -52,8 +52,8 @@ def test_sound_lidars_have_no_findings(drive) -> None:
 CASES = {
     "late": (faults.late(0.15), "stamps late"),
     "mirrored": (faults.mirrored(), "scan mirrored"),
-    "turned": (faults.turned(0.35), "laser turned"),
-    "ranges": (faults.scaled_ranges(0.9), "ranges scale"),
+    "turned": (faults.turned(0.35), "lidar rotated"),
+    "ranges": (faults.scaled_ranges(0.9), "range scale"),
     "sweep": (faults.sweep_of(0.5), "sweep too long"),
     "no return": (faults.noisy_no_return(3.0, 0.02), "value for no return"),
 }
@@ -73,7 +73,7 @@ def test_a_fault_is_found_with_its_lidar(drive, name: str, case: str) -> None:
 
 def test_the_other_lidar_decides_whether_a_scan_is_mirrored(drive) -> None:
     (only,) = found(faults.faulty(drive, on("rear", faults.mirrored())))
-    assert only.sure > 0.99
+    assert only.certainty > 0.99
     assert only.advice == ""
 
 

@@ -20,7 +20,7 @@ from impslam.health import (
     UNEXPLAINED,
     UNPLACED,
     Health,
-    Standing,
+    LogFault,
     describe,
 )
 from impslam.map import PathRows, Revision
@@ -125,7 +125,7 @@ def test_the_most_severe_reason_is_reported():
 
 @pytest.mark.parametrize("cuts", [(), (1,), (1, 2)])
 def test_a_problem_of_the_whole_run_is_reported_for_scans_without_a_worse_one(cuts):
-    monitor = HealthMonitor(Standing(MISTIMED, 0.3))
+    monitor = HealthMonitor(LogFault(MISTIMED, 0.3))
     health = watch([0.0] * 3, cuts, reasons=[NONE, STALLED, NONE], monitor=monitor)
     assert health.reasons.tolist() == [MISTIMED, STALLED, MISTIMED]
     assert health.counts() == {"TRACKING": 0, "DEGRADED": 3, "LOST": 0}

@@ -5,14 +5,14 @@ from __future__ import annotations
 from impslam.cli import console
 from impslam.config import Config
 from impslam.diagnosis.diagnose import initial_findings, unread_copy
-from impslam.diagnosis.finding import worst_health
+from impslam.diagnosis.finding import worst_fault
 from impslam.fitting import choices
-from impslam.health import Standing
+from impslam.health import LogFault
 from impslam.sources.base import Source
 
 
-def show_initial_findings(config: Config, source: Source, preset: str | None) -> Standing:
-    """Print the preset, streams and mounts of a run and the problems found; return the health of its poses.
+def show_initial_findings(config: Config, source: Source, preset: str | None) -> LogFault:
+    """Print preset, streams, mounts and problems of a log; return the fault that affects all poses.
 
     `preset` is the one given by the user, if any.
     """
@@ -24,4 +24,4 @@ def show_initial_findings(config: Config, source: Source, preset: str | None) ->
     console.echo(f"reads: preset {named}; {chosen}")
     for finding in harm:
         console.show_finding(finding.kind, str(finding), harmful=True)
-    return worst_health(harm)
+    return worst_fault(harm)

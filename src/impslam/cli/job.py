@@ -14,7 +14,7 @@ from impslam.config import Config
 from impslam.continuing import KnownMap
 from impslam.errors import ConfigError
 from impslam.evaluation.landmark_files import read_surveyed
-from impslam.health import SOUND, Standing
+from impslam.health import NO_FAULT, LogFault
 from impslam.map import Keyframe, Map, PathRows, Revision, Track
 from impslam.observers.base import Observer
 from impslam.observers.recorder import Recorder
@@ -63,10 +63,10 @@ def execute(  # noqa: PLR0913  # all parts of a run
     *,
     more: Iterable[Observer] = (),
     true_landmarks: Sequence[TrueLandmark] = (),
-    player: Callable[[Config, Source, list[Observer], Standing], Map] | None = None,
+    player: Callable[[Config, Source, list[Observer], LogFault], Map] | None = None,
     known_map: KnownMap | None = None,
     exports: Exports | None = None,
-    health: Standing = SOUND,
+    fault: LogFault = NO_FAULT,
     interruption: Interruption | None = None,
 ) -> Map:
     """Map a log, write the results to a folder, and show the progress.
@@ -79,7 +79,7 @@ def execute(  # noqa: PLR0913  # all parts of a run
     player : runs the log through the estimator, e.g. in real time; default: as fast as possible
     known_map : the map to continue
     exports : further files to write
-    health : problems with the log that affect all poses
+    fault : of the whole log, which affects all poses
     interruption : stops the run between two scans; default: nothing does
     """
     keep_inputs([source.path], [folder, *([] if exports is None else exports.files())])
@@ -91,10 +91,10 @@ def execute(  # noqa: PLR0913  # all parts of a run
         stop = interruption or Interruption()
         stop.check()
         if player is not None:
-            return player(config, source, observers, health)
+            return player(config, source, observers, fault)
         stop.on_stop = bar.interrupted
         observers.append(StopBetweenScans(stop))
-        return map_log(config, source, observers, stop.check, known_map, health)
+        return map_log(config, source, observers, stop.check, known_map, fault)
 
 
 class StopBetweenScans(Observer):

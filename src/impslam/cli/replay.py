@@ -13,7 +13,7 @@ from impslam.extras import install
 
 if TYPE_CHECKING:
     from impslam.config import Config
-    from impslam.health import Standing
+    from impslam.health import LogFault
     from impslam.map import Map
     from impslam.observers.base import Observer
     from impslam.sources.base import Source
@@ -34,14 +34,14 @@ def replay(
     config: Config,
     source: Source,
     observers: Iterable[Observer],
-    health: Standing,
+    fault: LogFault,
     *,
     port: int,
     quiet: bool,
 ) -> Map:
     """Replay a log on the page until Ctrl-C; return the map.
 
-    `health` describes the problems with the log that affect all poses.
+    `fault` is one of the whole log, which affects all poses.
 
     Raises
     ------
@@ -57,7 +57,7 @@ def replay(
 
         view, settings = LiveView(), ServerSettings(port=port)
         with listening(settings) as listener:
-            player = play_live(config, source, observers, view, health)
+            player = play_live(config, source, observers, view, fault)
             try:
                 serve(
                     Model(source.path.name, view, player=player),

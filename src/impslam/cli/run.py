@@ -32,7 +32,7 @@ from impslam.errors import ConfigError
 if TYPE_CHECKING:
     from impslam.config import Config
     from impslam.continuing import KnownMap
-    from impslam.health import Standing
+    from impslam.health import LogFault
     from impslam.map import Map
     from impslam.observers.base import Outcome
     from impslam.sources.base import Source
@@ -151,19 +151,21 @@ def run(  # noqa: PLR0913  # each is an option that a user may give
                 chosen, source, folder, quiet or page.live,
                 more=[end], known_map=known_map, exports=exports, interruption=interruption,
                 player=partial(replay, port=page.port, quiet=quiet) if page.live else None,
-                health=_initial_health(chosen, source, config, quiet=quiet),
+                fault=_log_fault(chosen, source, config, quiet=quiet),
             )  # fmt: skip
         if not quiet and end.outcome is not None:
             show_result(known, end.outcome, output or folder, with_speed=not page.live)
             console.echo(*exports.lines())
 
 
-def _initial_health(config: Config, source: Source, preset: str | None, *, quiet: bool) -> Standing:
-    """Return the health that the initial findings give all poses; print them unless `quiet`."""
+def _log_fault(config: Config, source: Source, preset: str | None, *, quiet: bool) -> LogFault:
+    """Return the fault that affects all poses, by the initial findings; print them unless `quiet`."""
     from impslam.cli.initial_findings import show_initial_findings
-    from impslam.diagnosis.diagnose import first_health
+    from impslam.diagnosis.diagnose import find_log_fault
 
-    return first_health(config, source) if quiet else show_initial_findings(config, source, preset)
+    return (
+        find_log_fault(config, source) if quiet else show_initial_findings(config, source, preset)
+    )
 
 
 def _continuing_config(config: Config, changes: list[str], *, quiet: bool) -> Config:

@@ -158,7 +158,7 @@ class Survey:
         latency = getattr(self._robot.sensors[name], "latency", 0.0)
         if scans.last - latency < motion.first or scans.first - latency > motion.last:
             self.problems.add(
-                "clocks apart",
+                "clocks differ",
                 f"scans are stamped {scans.first:.3f} to {scans.last:.3f} s, odometry "
                 f"{motion.first:.3f} to {motion.last:.3f} s: align them with "
                 f"--set sensors.{name}.latency={scans.first - motion.first:.3f}",

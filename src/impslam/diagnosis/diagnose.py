@@ -10,7 +10,7 @@ from impslam.columns import Batch
 from impslam.config import Config
 from impslam.diagnosis.beams import check_beams
 from impslam.diagnosis.evidence import Evidence, confirmed, gather_evidence
-from impslam.diagnosis.finding import Finding, worst_health
+from impslam.diagnosis.finding import Finding, worst_fault
 from impslam.diagnosis.handedness import check_handedness
 from impslam.diagnosis.head import Head
 from impslam.diagnosis.mount import check_mount
@@ -22,7 +22,7 @@ from impslam.diagnosis.stamps import check_clocks, check_stamps
 from impslam.diagnosis.sweep import check_overlap, check_times
 from impslam.diagnosis.units import check_pose_units, check_range_unit
 from impslam.diagnosis.wheels import check_wrap
-from impslam.health import Standing
+from impslam.health import LogFault
 from impslam.sources.base import Source
 from impslam.types import Message
 
@@ -121,10 +121,10 @@ def initial_findings(config: Config, source: Source) -> list[Finding]:
     return [one for one in found if one.harmful]
 
 
-def first_health(config: Config, source: Source) -> Standing:
-    """Return the worst health that the initial findings imply for all poses; opens its own source."""
+def find_log_fault(config: Config, source: Source) -> LogFault:
+    """Return the worst fault that affects all poses, by the initial findings; opens its own source."""
     with unread_copy(source) as own:
-        return worst_health(initial_findings(config, own))
+        return worst_fault(initial_findings(config, own))
 
 
 def unread_copy(source: Source) -> Source:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
-from impslam.health import SOUND, Standing
+from impslam.health import NO_FAULT, LogFault
 
 ERROR_RATE = 1e-3
 """Rate of false findings per test: some twenty tests give one in 2 % of sound logs."""
@@ -25,20 +25,20 @@ class Finding:
     kind : its name, the same in every log
     what : the measurement, with its standard deviation
     fix : settings for --set that fix it together, as "key=value"
-    sure : probability that the finding is true
+    certainty : probability that the finding is true
     advice : what to do if no setting fixes it, or another possible cause
     harmful : whether it makes a run worse; otherwise the finding is for information
-    health : why no pose of such a run can be trusted, with the amount
+    fault : why no pose of a run with this log can be trusted
     lidar : name of the lidar that it is about; "" for the odometry, or the robot as a whole
     """
 
     kind: str
     what: str
     fix: tuple[str, ...] = ()
-    sure: float = MAX_PROBABILITY
+    certainty: float = MAX_PROBABILITY
     advice: str = ""
     harmful: bool = True
-    health: Standing = SOUND
+    fault: LogFault = NO_FAULT
     lidar: str = ""
 
     def with_lidar(self) -> Finding:
@@ -49,14 +49,14 @@ class Finding:
         """Return the finding as one line."""
         settings = " ".join(f"--set '{one}'" if "[" in one else f"--set {one}" for one in self.fix)
         remedy = "; ".join(part for part in (settings, self.advice) if part)
-        claim = f"{self.what} ({100.0 * self.sure:.4g} % sure)"
+        claim = f"{self.what} ({100.0 * self.certainty:.4g} % certain)"
         return f"{claim}: {remedy}" if remedy else claim
 
 
-def worst_health(findings: Iterable[Finding]) -> Standing:
-    """Return the worst health among harmful findings; `SOUND` if there is none."""
-    harm = (one.health for one in findings if one.harmful)
-    return max(harm, key=lambda one: one.reason, default=SOUND)
+def worst_fault(findings: Iterable[Finding]) -> LogFault:
+    """Return the worst fault that harmful findings imply for all poses; `NO_FAULT` if there is none."""
+    harm = (one.fault for one in findings if one.harmful)
+    return max(harm, key=lambda one: one.reason, default=NO_FAULT)
 
 
 def probability_off(off: float, sigma: float, allowed: float) -> float:

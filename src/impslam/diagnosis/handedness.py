@@ -1,11 +1,11 @@
-"""Check the signs of scans and odometry: mirrored scans, exchanged and reversed wheels.
+"""Check the signs of scans and odometry: mirrored scans, swapped and reversed wheels.
 
 With unit scales, the fits S = a F + b T and R = c F + d T (see `agreement`) show which signs are wrong:
 
     a > 0, d > 0     correct                           b, c large, a, d ~ 0   one wheel counts backward
-    a > 0, d < 0     turns are opposite: the scan is mirrored, or the wheels are exchanged
+    a > 0, d < 0     turns are opposite: the scan is mirrored, or the wheels are swapped
     a < 0, d > 0     distances are opposite: the laser faces backward (see `mount`)
-    a < 0, d < 0     both: both wheels count backward, or the laser is upside down and faces backward
+    a < 0, d < 0     both: both wheels count backward, or the lidar is upside down and faces backward
 
 Mirrored scans are consistent with a mirrored world, so laser and wheels alone cannot show which of them is
 wrong. A gyro can.
@@ -21,17 +21,17 @@ from impslam.diagnosis.evidence import Evidence
 from impslam.diagnosis.finding import MAX_PROBABILITY, Finding
 from impslam.diagnosis.robust import CLEAR
 from impslam.geometry.angles import wrap
-from impslam.health import OPPOSED, Standing
+from impslam.health import OPPOSED, LogFault
 from impslam.odometry.encoders import Encoders
 from impslam.types import Array
 
 HALF = 0.5
-OPPOSED_RUN = Standing(OPPOSED)
-"""The health of every pose of a run with such a fault."""
+OPPOSED_LOG = LogFault(OPPOSED)
+"""Why no pose of a run with such a log can be trusted."""
 
 
 def check_handedness(e: Evidence) -> list[Finding]:
-    """Find mirrored scans, exchanged wheels and reversed wheels."""
+    """Find mirrored scans, swapped wheels and reversed wheels."""
     if e.agreement is None:
         return []
     if finding := _one_wheel(e):
@@ -57,43 +57,43 @@ def _one_wheel(e: Evidence) -> Finding | None:
         f"the {side} wheel counts backward: while driving straight the robot seems to turn by "
         f"{abs(turn.p[0]):.2g} rad/m",
         (f"odometry.reversed={side}",),
-        health=OPPOSED_RUN,
+        fault=OPPOSED_LOG,
     )
 
 
 def _opposite_turns(e: Evidence) -> list[Finding]:
-    what = "scans and odometry turn opposite ways"
+    what = "scans and odometry turn in opposite directions"
     vote = 1 if e.is_odometry_confirmed else _gyro_vote(e)
     mirrored = Finding(
         "scan mirrored",
-        f"{what}: the scan is mirrored, or the laser is mounted upside down",
+        f"{what}: the scan is mirrored, or the lidar is mounted upside down",
         _unmirror_settings(e),
         MAX_PROBABILITY if vote > 0 else HALF,
-        "" if vote > 0 else f"or {_exchange_words(e)}; a gyro would decide",
+        "" if vote > 0 else f"or {_swapped_words(e)}; a gyro would decide",
         lidar=e.name,
-        health=OPPOSED_RUN,
+        fault=OPPOSED_LOG,
     )
-    exchanged = Finding(
-        "wheels exchanged",
-        f"{what}, and the gyro turns as the scans do: {_exchange_words(e)}",
-        ("odometry.exchanged=true",) if isinstance(e.odometry, Encoders) else (),
-        health=OPPOSED_RUN,
+    swapped = Finding(
+        "wheels swapped",
+        f"{what}, and the gyro turns as the scans do: {_swapped_words(e)}",
+        ("odometry.swapped=true",) if isinstance(e.odometry, Encoders) else (),
+        fault=OPPOSED_LOG,
     )
-    return [exchanged if vote < 0 else mirrored]
+    return [swapped if vote < 0 else mirrored]
 
 
-def _exchange_words(e: Evidence) -> str:
+def _swapped_words(e: Evidence) -> str:
     if isinstance(e.odometry, Encoders):
-        return "left and right wheel are exchanged (--set odometry.exchanged=true)"
+        return "left and right wheel are swapped (--set odometry.swapped=true)"
     return "odometry turns the wrong way"
 
 
 def _all_opposite(e: Evidence) -> list[Finding]:
-    what = "scans and odometry drive and turn opposite ways"
+    what = "scans and odometry drive and turn in opposite directions"
     inverted = _unmirror_settings(e, turned=True)
     if not isinstance(e.odometry, Encoders) or e.is_odometry_confirmed:
-        words = f"{what}: the laser is upside down and faces backward"
-        return [Finding("scan mirrored", words, inverted, lidar=e.name, health=OPPOSED_RUN)]
+        words = f"{what}: the lidar is upside down and faces backward"
+        return [Finding("scan mirrored", words, inverted, lidar=e.name, fault=OPPOSED_LOG)]
     other = " ".join(f"--set '{one}'" for one in inverted)
     return [
         Finding(
@@ -101,8 +101,8 @@ def _all_opposite(e: Evidence) -> list[Finding]:
             f"{what}: both wheels count backward",
             ("odometry.reversed=both",),
             HALF,
-            f"or the laser is upside down and faces backward ({other})",
-            health=OPPOSED_RUN,
+            f"or the lidar is upside down and faces backward ({other})",
+            fault=OPPOSED_LOG,
         )
     ]
 

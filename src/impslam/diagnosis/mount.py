@@ -10,7 +10,7 @@ from impslam.diagnosis.handedness import check_handedness
 from impslam.diagnosis.robust import fit
 from impslam.diagnosis.scales import RANGES, check_scales
 from impslam.geometry.angles import wrap
-from impslam.health import MISALIGNED, Standing
+from impslam.health import MISALIGNED, LogFault
 
 YAW_TOLERANCE = math.radians(2.0)
 """Typical error of a laser mounted by eye: 3.5 cm per metre, as much as odometry drifts sideways."""
@@ -30,28 +30,28 @@ def check_mount(e: Evidence) -> list[Finding]:
     off = wrap(yaw - e.lidar.mount[2])
     sigma = math.sqrt(e.axis.covariance[0, 0])
     if is_off(off, sigma, YAW_TOLERANCE):
-        return [_turned(e, yaw, off, sigma)]
+        return [_rotated(e, yaw, off, sigma)]
     return _displaced(e)
 
 
-def _turned(e: Evidence, yaw: float, off: float, sigma: float) -> Finding:
+def _rotated(e: Evidence, yaw: float, off: float, sigma: float) -> Finding:
     x, y, _ = e.lidar.mount
     if not e.is_mount_given:
         x = e.axis.ahead if e.axis is not None else x
     what = (
-        f"the laser is turned by {math.degrees(yaw):.2f} ± {math.degrees(sigma):.2f} deg from the "
-        f"direction in which the robot drives; its mount says {math.degrees(e.lidar.mount[2]):.2f} deg"
+        f"the lidar is rotated by {math.degrees(yaw):.2f} ± {math.degrees(sigma):.2f} deg from the driving "
+        f"direction; its mount is given as {math.degrees(e.lidar.mount[2]):.2f} deg"
     )
     advice = _sideways(e)
     if abs(off) > math.radians(135.0):
-        advice += "; if the mount is right, odometry reports forward motion as backward"
+        advice += "; if the mount is correct, odometry reports forward motion as backward"
     return Finding(
-        "laser turned",
+        "lidar rotated",
         what,
         (f"{e.lidar_key}.mount=[{x:.3f},{y:.3f},{yaw:.4f}]",),
         probability_off(off, sigma, YAW_TOLERANCE),
         advice,
-        health=Standing(MISALIGNED, abs(math.degrees(off))),
+        fault=LogFault(MISALIGNED, abs(math.degrees(off))),
         lidar=e.name,
     )
 
@@ -72,11 +72,11 @@ def _displaced(e: Evidence) -> list[Finding]:
     allowed = 3.0 * (e.lidar.sigma + e.lidar.bias)  # largest error of a range itself
     if not is_off(ahead - x, sigma, allowed):
         return []
-    given = f"its mount says {x:.3f} m" if e.is_mount_given else "its mount is unknown"
+    given = f"its mount is given as {x:.3f} m" if e.is_mount_given else "its mount is unknown"
     return [
         Finding(
-            "laser elsewhere",
-            f"the laser is {relative_to_axle(ahead, sigma)}; {given}",
+            "lidar displaced",
+            f"the lidar is {relative_to_axle(ahead, sigma)}; {given}",
             (f"{e.lidar_key}.mount=[{ahead:.3f},{y:.3f},{yaw:.3f}]",),
             probability_off(ahead - x, sigma, allowed),
             _sideways(e),

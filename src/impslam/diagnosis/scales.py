@@ -13,7 +13,7 @@ from impslam.diagnosis.evidence import Evidence
 from impslam.diagnosis.finding import SIGMAS, Finding, is_off, probability_off
 from impslam.diagnosis.handedness import check_handedness
 from impslam.diagnosis.odometry import find_unsigned
-from impslam.health import MISSCALED, Standing
+from impslam.health import MISSCALED, LogFault
 from impslam.noise import MotionNoise
 from impslam.odometry.base import Odometry
 from impslam.odometry.encoders import Encoders
@@ -25,7 +25,7 @@ MAX_WHEEL_SCALE = 3.0
 """Distance scale beyond which not the wheel's radius is wrong, but the unit of the readings."""
 MIN_SIGMA = 1e-9
 """Lower bound of the standard deviation of a scale: if odometry hardly moves, its errors are as small."""
-RANGES, HALF = "ranges scale", 0.5
+RANGES, HALF = "range scale", 0.5
 """A kind that wrong lengths of odometry explain equally well, and its probability."""
 NO_FIX = "no setting fixes it"
 
@@ -72,7 +72,7 @@ def _scales(e: Evidence, agreed: Agreement) -> Iterator[Finding]:
         HALF if kind == RANGES else max(probability_off(*test) for test in tests),
         advice,
         any(abs(off) > factor * limit for off, _, limit in tests),
-        Standing(MISSCALED, max(abs(off) for off, *_ in tests)),
+        LogFault(MISSCALED, max(abs(off) for off, *_ in tests)),
         e.name if kind == RANGES else "",
     )
 

@@ -9,7 +9,7 @@ import numpy as np
 from impslam.diagnosis.evidence import Evidence
 from impslam.diagnosis.finding import Finding, is_off, probability_off
 from impslam.diagnosis.timing import MAX_LAG_ERROR
-from impslam.health import MISTIMED, Standing
+from impslam.health import MISTIMED, LogFault
 
 QUEUE_LAG = 0.2
 """s: if scans are matched, only the stamps of the path are wrong. Drivers stamp a sweep or two late; more
@@ -29,12 +29,12 @@ def check_clocks(e: Evidence) -> Iterator[Finding]:
     before = np.maximum(np.searchsorted(others, orders) - 1, 0)
     late = float(np.median(taken - known[before]))
     yield Finding(
-        "clocks apart",
+        "clocks differ",
         f"scans are stamped {taken.min():.3f} to {taken.max():.3f} s, odometry {known.min():.3f} to "
         f"{known.max():.3f} s",
         (f"{e.lidar_key}.latency={late:.3f}",),
         advice="the difference is that by the order of the log; inspect it again with this setting",
-        health=Standing(MISTIMED, abs(late - e.lidar.latency)),
+        fault=LogFault(MISTIMED, abs(late - e.lidar.latency)),
         lidar=e.name,
     )
 
@@ -57,7 +57,7 @@ def _jitter(e: Evidence) -> Finding:
         f"{period:.4g} s, turns fit odometry {raw.rms / smooth.rms:.1f} times as well",
         (f"{e.lidar_key}.period={period:.4g}", f"{e.lidar_key}.latency={smooth.seconds:.3f}"),
         harmful=not _tolerates_times(e),
-        health=Standing(MISTIMED, e.timing.jitter),
+        fault=LogFault(MISTIMED, e.timing.jitter),
         lidar=e.name,
     )
 
@@ -75,7 +75,7 @@ def _late(e: Evidence) -> Finding:
         (f"{e.lidar_key}.latency={late.seconds:.3f}",),
         probability_off(off, late.sigma, MAX_LAG_ERROR),
         harmful=not _tolerates_times(e) or is_off(off, late.sigma, QUEUE_LAG),
-        health=Standing(MISTIMED, abs(off)),
+        fault=LogFault(MISTIMED, abs(off)),
         lidar=e.name,
     )
 

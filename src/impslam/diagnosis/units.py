@@ -55,7 +55,7 @@ def check_pose_units(e: Evidence) -> Iterator[Finding]:
             "stamps in ms",
             f"scans are stamped {period:.4g} s apart: their stamps may be in ms",
             advice="of a CSV log, give --columns stamp=NAME*0.001",
-            sure=0.5,
+            certainty=0.5,
             harmful=False,
         )
     elif isinstance(e.odometry, OdometryPoses) and e.recording.odometry and not e.untimed:

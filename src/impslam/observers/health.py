@@ -16,13 +16,13 @@ from impslam.health import (
     CONTRADICTED,
     ELSEWHERE,
     GROWN,
+    NO_FAULT,
     NONE,
     NOT_FINITE,
-    SOUND,
     UNPLACED,
     Health,
+    LogFault,
     Reasons,
-    Standing,
     describe,
 )
 from impslam.map import Keyframe, PathRows, Revision, Track
@@ -43,12 +43,12 @@ class HealthMonitor(Observer):
     has no valid beam. The growth is that of the motion since the match: far from the start, where the
     heading is uncertain, the variance in the map changes with every step. A robot that is lost, or whose
     place in the map is not known yet, stays so until a place is recognised. A reason given by
-    `LandmarkWatch` for a keyframe holds until the next keyframe. `standing` is a problem with the whole
-    run, found before it began; it is reported for scans without a worse reason.
+    `LandmarkWatch` for a keyframe holds until the next keyframe. `fault` is one of the whole
+    log, found before the run; it is reported for scans without a worse reason.
     """
 
-    def __init__(self, standing: Standing = SOUND) -> None:
-        self._standing = standing
+    def __init__(self, fault: LogFault = NO_FAULT) -> None:
+        self._fault = fault
         # x, y of the last pose, distance since a match, variance there; lasting reason and its amount
         self._carried = np.zeros(6)
         self._fresh = True  # no pose yet, or landmarks were recognised
@@ -165,8 +165,8 @@ class HealthMonitor(Observer):
         reasons[blind], amounts[blind] = BLIND, 0.0
         estimate = path.poses, path.covariances, growths
         _apply_worse(self._carried, fresh, *estimate, reasons, amounts)
-        better = reasons < self._standing.reason
-        reasons[better], amounts[better] = self._standing
+        better = reasons < self._fault.reason
+        reasons[better], amounts[better] = self._fault
         m = len(reasons)
         self._stamps.append(path.stamps, m)
         self._reasons.append(reasons, m)

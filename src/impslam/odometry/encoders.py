@@ -49,8 +49,8 @@ class Encoders(Odometry):
         "the full scale for an absolute encoder's voltage (5 V for the MA3)",
         gt=0,
     )
-    exchanged: bool = parameter(
-        False, "", "the readings of the left and the right wheel are exchanged in the log"
+    swapped: bool = parameter(
+        False, "", "the readings of the left and the right wheel are swapped in the log"
     )
     reversed: Literal["none", "left", "right", "both"] = parameter(
         "none", "", "wheels (after exchange) whose reading falls while they roll forward"
@@ -143,7 +143,7 @@ class Encoders(Odometry):
         if self.wrap:
             left -= self.wrap * np.rint(left / self.wrap)
             right -= self.wrap * np.rint(right / self.wrap)
-        if self.exchanged:
+        if self.swapped:
             left, right = right, left
         left_sign, right_sign = _SIGNS[self.reversed]
         return left_sign * left, right_sign * right

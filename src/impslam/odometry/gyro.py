@@ -176,7 +176,7 @@ class GyroFusion:
             flipped = str(not self._gyro.upside_down).lower()
             return (
                 "the gyro turns against the wheels and is not used: set "
-                f"odometry.gyro.upside_down={flipped}, or swap the wheels if they are exchanged"
+                f"odometry.gyro.upside_down={flipped}, or odometry.swapped if the wheels are swapped"
             )
         return (
             "the gyro does not turn as the wheels do and is not used: check that its z axis is "

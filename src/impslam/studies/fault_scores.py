@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from impslam.diagnosis.diagnose import initial_findings
-from impslam.diagnosis.finding import worst_health
+from impslam.diagnosis.finding import worst_fault
 from impslam.errors import ImpError, in_a_line
 from impslam.evaluation.consistency import nees, pose_errors
 from impslam.fitting import fitted
@@ -113,7 +113,7 @@ def map_drive(drive: RecordedDrive) -> MappedDrive:
     begin = time.process_time()
     config = fitted(drive.config, source, odometry_is_free=True)
     findings = initial_findings(config, source)
-    known = map_log(config, source, [live], health=worst_health(findings))
+    known = map_log(config, source, [live], fault=worst_fault(findings))
     seconds = time.process_time() - begin
     outcome = live.outcome
     assert outcome is not None

@@ -31,8 +31,8 @@ _CONTRADICTED = (
     "encoders and wheels, or the parameters of odometry"
 )
 _OPPOSED = (
-    "up to the scan at {:.3f} s odometry and scans turn opposite ways: check that the wheels are not "
-    "swapped, and sensors.*.upside_down"
+    "up to the scan at {:.3f} s odometry and scans turn in opposite directions: check that the wheels are "
+    "not swapped, and sensors.*.upside_down"
 )
 _CARRIED = (
     "static objects vanished or appeared at once before the scan at {:.3f} s: the robot was carried, the "

@@ -13,7 +13,7 @@ from tests.waiting import wait_until
 
 from impslam.config import load
 from impslam.errors import ImpError, QuitError, SourceError
-from impslam.health import SOUND
+from impslam.health import NO_FAULT
 from impslam.observers.base import Observer
 from impslam.observers.live_view import LiveView
 from impslam.observers.recorder import Recorder
@@ -95,7 +95,7 @@ def test_a_replay_writes_the_folder_of_a_run(room, tmp_path):
 
 
 def test_play_live_starts_at_once(room, tmp_path, monkeypatch):
-    monkeypatch.setattr(module.Player.__init__, "__defaults__", (lambda _: None, SOUND))
+    monkeypatch.setattr(module.Player.__init__, "__defaults__", (lambda _: None, NO_FAULT))
     playing = play_live(load("imp"), Played.of(room, tmp_path), [], LiveView())
     wait_until(lambda: playing.status().steps > 0)
     playing.stop()

@@ -11,7 +11,7 @@ from typing import Literal, TypeAlias
 from impslam.columns import Batch
 from impslam.config import Config
 from impslam.errors import ImpError, QuitError, in_a_line
-from impslam.health import SOUND, Standing
+from impslam.health import NO_FAULT, LogFault
 from impslam.map import Map
 from impslam.observers.base import Observer
 from impslam.observers.live_view import LiveView
@@ -71,7 +71,7 @@ class Player:
     observers : further observers of the run, e.g. of the run folder
     view : shows the map
     prepare : compiles the estimator of a config
-    health : what is wrong with the whole log
+    fault : of the whole log, which affects all poses
     """
 
     def __init__(
@@ -81,10 +81,10 @@ class Player:
         observers: Iterable[Observer],
         view: LiveView,
         prepare: Callable[[Config], None] = warm_up,
-        health: Standing = SOUND,
+        fault: LogFault = NO_FAULT,
     ) -> None:
         self._config, self._source, self._view, self._prepare = config, source, view, prepare
-        self._run = Run(config, [view, *observers], health=health)
+        self._run = Run(config, [view, *observers], fault=fault)
         sensors = self._run.robot.sensors.values()
         self._scan_types = tuple(sensor.consumes for sensor in sensors)
         self._pace = Pace()
@@ -232,9 +232,9 @@ def play_live(
     source: Source,
     observers: Iterable[Observer],
     view: LiveView,
-    health: Standing = SOUND,
+    fault: LogFault = NO_FAULT,
 ) -> Player:
     """Start the replay of a log and return its `Player`."""
-    player = Player(config, source, observers, view, health=health)
+    player = Player(config, source, observers, view, fault=fault)
     player.start()
     return player

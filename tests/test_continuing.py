@@ -241,7 +241,7 @@ def test_a_map_is_what_frozen_and_hints_are_about(whole, tmp_path):
         with pytest.raises(ConfigError, match="give one to localise in"):
             begin_with(None, **how)
     for hint in ([1.0], [1.0, np.nan], [1.0, 2.0, 3.0, 4.0]):
-        with pytest.raises(ConfigError, match="is not a place in a map"):
+        with pytest.raises(ConfigError, match="is not a pose in a map"):
             begin_with(whole, hint=hint)
     with pytest.raises(ImpError, match="no such file"):
         begin_with(tmp_path / "gone.imp")

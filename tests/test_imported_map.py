@@ -63,7 +63,7 @@ def test_a_grid_that_is_turned_is_found_turned(yaml):
     [
         ("map.pgm", "gone.pgm", "No such file"),
         ("mode: trinary", "mode: raw", "its mode is raw"),
-        ("resolution: 0.05", "resolution: 0", "makes no sense"),
+        ("resolution: 0.05", "resolution: 0", "is invalid"),
         ("resolution: 0.05", "resolution: x", "could not convert"),
         ("origin", "begin", "origin"),
         ("free_thresh: 0.196", "free_thresh: -1", "has no free space"),

@@ -321,8 +321,8 @@ def test_masked_ranges_are_no_echo_and_other_masked_values_are_refused(tmp_path)
     ("options", "said"),
     [
         ({"known": 3}, "known = 3: expected a Map, or the path of its file"),
-        ({"known": "a.imp", "hint": "a"}, "'a' is not a place in a map"),
-        ({"known": "a.imp", "hint": [1.0, None]}, "[1.0, None] is not a place in a map"),
+        ({"known": "a.imp", "hint": "a"}, "'a' is not a pose in a map"),
+        ({"known": "a.imp", "hint": [1.0, None]}, "[1.0, None] is not a pose in a map"),
         ({"observers": 3}, "observers = 3: expected a list of Observer"),
         ({"observers": [3]}, "observers = [3]: expected a list of Observer"),
     ],

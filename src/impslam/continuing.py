@@ -288,7 +288,7 @@ def _place(hint: Sequence[float]) -> Array:
         place = np.empty(0)
     if place.shape not in {(2,), (3,)} or not np.isfinite(place).all():
         raise ConfigError(
-            f"{shorten(hint)} is not a place in a map; give x,y in m, or x,y,theta with rad"
+            f"{shorten(hint)} is not a pose in a map; give x,y or x,y,theta in m and rad"
         )
     return place
 

@@ -122,7 +122,7 @@ def _by_config(config: Config, robot: Robot) -> str:
 def _describe_config_mount(name: str, config: Config) -> str:
     table = config.sensors[name]
     if "mount" not in table and "upside_down" not in table:
-        return f"mount unknown, taken to be at base_link; set sensors.{name}.mount"
+        return f"mount unknown, assumed to be at base_link; set sensors.{name}.mount"
     own = Mount(tuple(table.get("mount", (0.0, 0.0, 0.0))), table.get("upside_down", False))
     return f"mount {_describe_pose(own)}, the config"
 
@@ -156,7 +156,7 @@ def _with_antenna(config: Config, source: Source) -> dict[str, dict[str, Any]]:
 def _describe_antenna(config: Config, in_log: Mount) -> str:
     given = config.landmarks.get("gps", {}).get("antenna")
     if given is None:
-        return f" (antenna taken to be at base_link: {in_log.origin}; set landmarks.gps.antenna)"
+        return f" (antenna assumed to be at base_link: {in_log.origin}; set landmarks.gps.antenna)"
     (x, y), origin = given, "the config"
     if in_log.pose is not None and (x, y) == in_log.pose[:2]:
         origin = in_log.origin
@@ -217,14 +217,14 @@ def _mount_settings(name: str, mount: Mount) -> str:
 def _describe_mount(name: str, mount: Mount, config: Config) -> str:
     table = config.sensors[name]
     if mount.pose is not None and _matches(mount, table):
-        tilted = f", tilted by {math.degrees(mount.tilt):.1f} deg and taken as level"
+        tilted = f", tilted by {math.degrees(mount.tilt):.1f} deg and treated as level"
         note = tilted if mount.tilt > MIN_REPORTED_TILT else ""
         return f"mount {_describe_pose(mount)}{note}, {mount.origin}"
     if "mount" in table or "upside_down" in table:
         own = Mount(tuple(table.get("mount", (0.0, 0.0, 0.0))), table.get("upside_down", False))
         log = "" if mount.pose is None else f"; not {_describe_pose(mount)}, {mount.origin}"
         return f"mount {_describe_pose(own)}, the config{log}"
-    return f"mount unknown, taken to be at base_link: {mount.origin}; set sensors.{name}.mount"
+    return f"mount unknown, assumed to be at base_link: {mount.origin}; set sensors.{name}.mount"
 
 
 def _describe_pose(mount: Mount) -> str:

@@ -94,7 +94,7 @@ def _grid(header: dict[str, str], darkness: Array) -> ImportedGrid:
     x, y, yaw = (float(v) for v in header["origin"].strip("[]").split(","))
     resolution = float(header["resolution"])
     if not (all(map(math.isfinite, (x, y, yaw))) and 0.005 <= resolution <= 1.0):
-        raise ValueError("its resolution or origin makes no sense")
+        raise ValueError("its resolution or origin is invalid")
     cells = np.full(darkness.shape, UNKNOWN, np.uint8)
     cells[darkness < float(header.get("free_thresh", FREE_BELOW))] = FREE
     cells[darkness > float(header.get("occupied_thresh", OCCUPIED_ABOVE))] = OCCUPIED

@@ -89,7 +89,7 @@ class Streams:
             )
         if all(reader.stream not in ("", stream) for reader in fit):
             read = ", ".join(f"{reader.place}.stream = {reader.stream!r}" for reader in fit)
-            raise ConfigError(f"no part of the robot reads the stream {stream!r}; there is {read}")
+            raise ConfigError(f"nothing in the config reads the stream {stream!r}; there is {read}")
 
     def used(self, batch: Batch) -> list[Columns]:
         """Return the columns that have a reader, in the order of their first rows."""
@@ -126,6 +126,6 @@ def _refuse_shared(sensors: list[Reader]) -> None:
             if one.stream == other.stream and (one.stream or one.consumes is other.consumes):
                 what = repr(one.stream) if one.stream else f"the stream of {one.consumes.__name__}"
                 raise ConfigError(
-                    f"{other.place} and {one.place} both read {what}; name the stream of each: "
+                    f"{other.place} and {one.place} both read {what}; set the stream of each: "
                     f"{one.place}.stream = NAME"
                 )

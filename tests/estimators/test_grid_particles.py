@@ -65,7 +65,7 @@ def test_by_default_the_ends_meet_and_the_path_is_revised(frames):
     np.testing.assert_array_equal(poses, made._path())  # what was told is what is kept
     assert any(len(revision.ids) > 1 for revision in revisions)
     assert apart(made) < 0.15
-    assert made.counts()["times particles were drawn anew"] > 0
+    assert made.counts()["resamplings"] > 0
     walls = [mark for mark in made.landmarks() if mark.kind == "wall"]
     assert walls == []  # the drive has no observations
 

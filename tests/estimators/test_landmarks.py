@@ -131,7 +131,7 @@ def test_a_keyframe_without_a_solution_moves_the_robot_and_nothing_else(belief, 
 def test_a_new_landmark_whose_R_is_not_definite_is_refused(belief, R):
     slam = estimator(belief)
     told = slam.add(keyframe(still(0), (Observation("corner", np.array([2.0, 0.3]), R, label=1),)))
-    assert "the R of a corner is not positive definite" in told.refused
+    assert "the covariance R of a corner is not positive definite" in told.refused
     assert slam.landmarks() == ()
 
 

@@ -23,7 +23,7 @@ from impslam.types import Increment, Match
 
 POSTS = [(1.0, 1.5), (2.0, -1.0), (3.5, 1.2), (4.5, -1.4), (6.0, 0.8), (7.0, -0.5)]
 Q = np.diag([1e-3, 1e-3, 1e-3]) ** 2
-SLIPS = "keyframes at which the wheels have slipped"
+SLIPS = "keyframes with wheel slip"
 
 
 def attempt(matched, new=(), ambiguous=(), tentative=0, S=R_POINT):

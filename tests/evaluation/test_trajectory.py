@@ -104,7 +104,7 @@ def test_a_single_true_pose_can_be_compared_with():
 
 def test_no_common_time_is_one_line():
     late = circle() + np.array([100.0, 0, 0, 0])
-    with pytest.raises(ImpError, match="share no time"):
+    with pytest.raises(ImpError, match="do not overlap in time"):
         associate(late, circle())
 
 

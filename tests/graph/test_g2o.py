@@ -61,7 +61,7 @@ def test_what_is_written_is_read_back(tmp_path):
 @pytest.mark.parametrize(
     ("line", "said"),
     [
-        ("VERTEX_SE2 7 0 0 0", "line 6: vertex 7 is there twice"),
+        ("VERTEX_SE2 7 0 0 0", "line 6: vertex 7 occurs twice"),
         ("VERTEX_SE2 8 0 0", "line 6: 2 numbers"),
         ("VERTEX_SE2 8 0 0 nan", "line 6: a number is not finite"),
         ("VERTEX_SE2 x 0 0 0", "line 6: .*'x'"),

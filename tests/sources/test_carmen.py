@@ -110,7 +110,7 @@ def test_the_poses_of_laser_and_robot_give_the_mount(tmp_path: Path) -> None:
 def test_poses_that_determine_no_mount(tmp_path: Path, lines: list[str]) -> None:
     config, source = open_log(log(tmp_path, *lines))
     assert "mount" not in config.sensors["lidar"]
-    assert "mount unknown, taken to be at base_link: not in the log" in choices(config, source)
+    assert "mount unknown, assumed to be at base_link: not in the log" in choices(config, source)
 
 
 def test_a_largest_range_of_zero_is_unset(tmp_path: Path) -> None:

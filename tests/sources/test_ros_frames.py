@@ -65,7 +65,7 @@ ZERO = [0, 0, 0]
 )
 def test_an_unknown_mount_is_reported(entries, tmp_path, ways, said):
     found, problems, line = read(bag(tmp_path, entries, *([links(*ways)] if ways else [])))
-    assert "mount unknown, taken to be at base_link" in line
+    assert "mount unknown, assumed to be at base_link" in line
     assert said in line
     assert "set sensors.lidar.mount" in line
     assert sum(isinstance(m, LaserScan) for m in found) == 10
@@ -130,7 +130,7 @@ def test_the_antenna_of_a_receiver_is_located_by_transforms(entries, tmp_path, f
     antenna = config.make_models()["gps"].antenna
     if frame == "nowhere":
         assert antenna == (0.0, 0.0)
-        assert "gps /fix (antenna taken to be at base_link: there is no transform" in choices(
+        assert "gps /fix (antenna assumed to be at base_link: there is no transform" in choices(
             config, source
         )
         return
@@ -155,7 +155,7 @@ def test_a_tilted_laser_is_taken_as_level_or_refused(entries, tmp_path, pitch):
         tmp_path, entries, links(URDF[0], ("base_link", "laser", [0.1, 0.05, 0.1], [0, pitch, 0]))
     )
     if pitch < 0.1:
-        assert "tilted by 1.1 deg and taken as level" in read(log)[2]
+        assert "tilted by 1.1 deg and treated as level" in read(log)[2]
         return
     with pytest.raises(
         SourceError, match=r"is tilted by 28.6 degrees .* --topic scan=TOPIC"
@@ -163,7 +163,7 @@ def test_a_tilted_laser_is_taken_as_level_or_refused(entries, tmp_path, pitch):
         open_log(log)
     assert "--set 'sensors.lidar.mount=[0.100,0.050,0.0000]'" in str(error.value)
     config, source = open_log(log, None, ["sensors.lidar.mount=[0.1,0.05,0.0]"])
-    assert "tilted by 28.6 deg and taken as level" in choices(config, source)
+    assert "tilted by 28.6 deg and treated as level" in choices(config, source)
 
 
 def test_a_frame_with_two_parents_is_reported(entries, tmp_path):

@@ -51,7 +51,7 @@ def test_no_result_is_lost_with_a_killed_worker(processes, cluster):
     assert results == dict.fromkeys(range(12))
     with pytest.raises(ValueError, match="math domain error"):
         list(Cluster(cluster).each(math.sqrt, [-1.0]))
-    with pytest.raises(ImpError, match="a worker cannot load the work; install the same"):
+    with pytest.raises(ImpError, match="a worker cannot run the jobs; install the same"):
         list(Cluster(cluster).each(unknown_to_workers, [1]))
 
 

@@ -36,7 +36,7 @@ def merge(
         try:
             known = merged(*maps, progress=progress.step)
         except NotMergedError as error:
-            why = f"{error.found.words}; drive where the others have been"
+            why = f"{error.found.words}; drive in an area that the other maps contain"
             raise ImpError(f"{files[error.which]}: cannot be merged: {why}") from None
         known.save(output)
     if quiet:

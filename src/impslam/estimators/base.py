@@ -188,7 +188,7 @@ def check_keyframe(keyframe: Keyframe) -> None:
     for o in keyframe.observations:
         if not is_definite(o.R):
             raise NumericalError(
-                f"the R of a {o.kind} is not positive definite: check its sensor's noise"
+                f"the covariance R of a {o.kind} is not positive definite: check its sensor's noise"
             )
 
 

@@ -235,9 +235,9 @@ class GridParticles(Estimator):
         """Return the numbers of resamplings, of remaining lineages, and of tiles of the maps."""
         lines = ancestors(self._parents.array, self._rows, len(self._keys)) if self._entered else ()
         return {
-            "times particles were drawn anew": self._resamplings,
+            "resamplings": self._resamplings,
             "tiles of surfaces": self._maps.used,
-            "lines of particles at the start": len(np.unique(lines)),
+            "particle lineages at the start": len(np.unique(lines)),
         }
 
     @property

@@ -140,7 +140,7 @@ class Landmarks(Estimator):
         is_likelier = attempt.evidence(self._filter.joint, observations) > evidence
         recent = set().union(*self._recent)
         if is_likelier and explains(attempt, rolled, len(observations), recent):
-            self._counts["keyframes at which the wheels have slipped"] += 1
+            self._counts["keyframes with wheel slip"] += 1
             return attempt.choice
         self._repeat_prediction(motion)
         return rolled.choice
@@ -205,10 +205,10 @@ class Landmarks(Estimator):
             if error.frame_is_wrong:
                 self._filter.remove([frame.id])
                 self._seen_kinds.discard(fix.kind)
-                self._counts["GPS frames begun anew"] += 1
+                self._counts["GPS frames re-initialised"] += 1
             else:
                 self._filter.predict(Increment(now, np.zeros(3), error.covariance))
-                self._counts["poses doubted as refused GPS fixes agree"] += 1
+                self._counts["pose covariances widened by refused GPS fixes"] += 1
 
     def observations(self) -> tuple[tuple[Observation, ...], ...]:
         """Return the observations of each keyframe; see `Estimator.observations`."""

@@ -53,7 +53,7 @@ class Smoothing(Landmarks):
         super().start(pose, **parts)
         if not self._filter.follows:
             raise ConfigError(
-                f"estimator 'smoothing' cannot lead the filter {self._filter.name!r}; choose another "
+                f"estimator 'smoothing' does not work with filter {self._filter.name!r}; choose another "
                 "one with --set filter.kind=riekf"
             )
         self._smoother = Smoother(pose, MIN_SIGMA, self.relinearise)

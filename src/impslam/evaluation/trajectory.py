@@ -96,7 +96,7 @@ def associate(estimate: Array, truth: Array, slack: float = 0.1, gap: float = 1.
     if not inside.any():
         raise ImpError(
             f"the estimate (from {stamps.min():.3f} to {stamps.max():.3f} s) and the truth (from "
-            f"{known[0]:.3f} to {known[-1]:.3f} s) share no time; check that both use one clock"
+            f"{known[0]:.3f} to {known[-1]:.3f} s) do not overlap in time; check that both use one clock"
         )
     chosen = estimate[inside]
     return PosePairs(chosen[:, 0], chosen[:, 1:], interpolate(truth, chosen[:, 0]))

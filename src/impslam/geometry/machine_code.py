@@ -99,7 +99,7 @@ def warn_once(problem: str) -> None:
     """Warn that compiled code is not cached."""
     if multiprocessing.parent_process() is None:  # a worker's parent has warned already
         log.warning(
-            "%s, so every run compiles anew (a minute or two); set NUMBA_CACHE_DIR to a folder of yours",
+            "%s, so every run compiles again (a minute or two); set NUMBA_CACHE_DIR to a writable folder",
             problem,
         )
 

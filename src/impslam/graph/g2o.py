@@ -81,7 +81,7 @@ def _numbers(words: list[str], count: int) -> list[float]:
 
 def _add_vertex(vertices: dict[int, list[float]], name: int, pose: list[float]) -> None:
     if name in vertices:
-        raise ValueError(f"vertex {name} is there twice")
+        raise ValueError(f"vertex {name} occurs twice")
     if not abs(name) < 2**63:
         raise ValueError("the id of a vertex has more than 64 bits")
     vertices[name] = pose

@@ -36,7 +36,9 @@ class NotMergedError(ImpError):
     """
 
     def __init__(self, which: int, found: MapRelation) -> None:
-        super().__init__(f"map {which + 1}: {found.words}; drive where the others have been")
+        super().__init__(
+            f"map {which + 1}: {found.words}; drive in an area that the other maps contain"
+        )
         self.which, self.found = which, found
 
 

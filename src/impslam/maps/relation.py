@@ -112,7 +112,7 @@ def aligned_to(first: Map, second: Map, progress: Progress = lambda _: None) -> 
     """
     found = align_maps(first.keyframes, second.keyframes, progress)
     if found.outcome is not RelationStatus.FOUND:
-        raise ImpError(f"{found.words}; drive where both have been")
+        raise ImpError(f"{found.words}; drive in an area that both maps contain")
     return second.moved(found.T)
 
 

@@ -281,7 +281,7 @@ def recognise(path: Path) -> type[Source]:
             return cls
         reasons.append(cls.explain_refusal(path))
     if path.is_dir() and (content := explain_folder(path, _is_log)):
-        raise SourceError(f"{path}: is no log itself; {content}")
+        raise SourceError(f"{path}: is not a log; {content}")
     if path.is_file():
         reasons.append(_explain_start(path))
     known = ", ".join(names("source"))

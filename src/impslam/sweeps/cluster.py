@@ -68,7 +68,7 @@ class Cluster(Pool):
         except Exception as error:
             if "deserialization" in str(error):
                 raise ImpError(
-                    f"--scheduler {self.address}: a worker cannot load the work; install the same impslam "
+                    f"--scheduler {self.address}: a worker cannot run the jobs; install the same impslam "
                     "and Python on the workers"
                 ) from error
             if future.status == "error":  # raised by the work

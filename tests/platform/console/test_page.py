@@ -257,7 +257,7 @@ def test_maps_are_listed_deleted_and_restored(browser, robot):
         rows = page.get_by_test_id("stored-map")
         expect(rows).to_have_count(3)
         making, hall, broken = rows.all()
-        expect(making).to_contain_text("being made")
+        expect(making).to_contain_text("in progress")
         expect(making.get_by_test_id("delete")).to_have_count(0)
         expect(hall).to_contain_text("1.9 MB · 8512 scans · with report")
         expect(broken).to_contain_text("damaged")

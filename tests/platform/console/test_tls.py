@@ -95,7 +95,7 @@ class TestOwnCertificate:
 
     def test_a_folder_that_cannot_be_written_is_an_error(self, tmp_path):
         (tmp_path / "file").write_text("")
-        with pytest.raises(CertificateError, match="make it yours"):
+        with pytest.raises(CertificateError, match="for your user"):
             own_certificate(tmp_path / "file", NAMES, ADDRESSES)
 
     def test_the_fingerprint_is_what_other_tools_show(self, pem):

@@ -120,7 +120,7 @@ class Bench:
 
     def write(self, port, data):
         if not self.plugged or self.blocked:
-            raise DeviceError("bench: takes nothing any more; check the device")
+            raise DeviceError("bench: accepts no more data; check the device")
         self.emulator.receive(self.spoil_commands(data), self.time)
 
     def _let_pass(self, seconds):

@@ -166,7 +166,7 @@ def test_drives_are_ignored_from_a_stop_until_the_release(bench):
     assert any(abs(t - 1.01) < 0.003 for t in stopped)
     counts = bench.health.counts
     assert counts["drive held back"] == 40
-    assert "emergency stop holds" in bench.events
+    assert "emergency stop is active" in bench.events
     assert "emergency stop released" in bench.events
 
 
@@ -202,7 +202,7 @@ def test_an_old_answer_does_not_confirm_a_new_stop(bench):
     assert pending == [FrameType.STOP]
     assert len(stops) == 3
     assert link._pending is None
-    assert bench.events[-1] == "emergency stop holds"
+    assert bench.events[-1] == "emergency stop is active"
 
 
 def test_after_a_reboot_the_stop_is_sent_again(bench):
@@ -210,7 +210,7 @@ def test_after_a_reboot_the_stop_is_sent_again(bench):
     bench.later(2.0, lambda: bench.emulator.reboot(bench.time))
     bench.run(3.0)
     assert bench.health.counts["stop demanded again"] == 1
-    last = max(i for i, text in enumerate(bench.events) if text == "emergency stop holds")
+    last = max(i for i, text in enumerate(bench.events) if text == "emergency stop is active")
     assert bench.events.index("rebooted: firmware 1.0, boot 2 (brown-out)") < last
     assert bench.emulator._state == 1
 
@@ -268,7 +268,7 @@ def test_silence_is_counted_and_notified_and_reopens_the_port(bench):
     assert silent.state == "silent"
     assert silent.counts["silences"] == 1
     assert lost.state == "lost"
-    assert "nothing understood for 2.0 s" in lost.detail
+    assert "no valid message for 2.0 s" in lost.detail
     assert bench.health.state == "ok"
     assert bench.closed == 3
 
@@ -508,6 +508,6 @@ def test_an_earlier_stop_is_reported_until_it_is_released(bench):
 def test_a_silent_line_is_notified_once(bench):
     bench.spoil = lambda data: b""
     bench.run(30.0)
-    notices = [text for text in bench.events if "nothing understood" in text]
+    notices = [text for text in bench.events if "no valid message" in text]
     assert len(notices) == 1
     assert bench.health.counts["lost connection"] > 5

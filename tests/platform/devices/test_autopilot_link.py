@@ -166,7 +166,7 @@ def test_a_full_port_does_not_block_for_long_and_is_reported(pair, link, counts)
         link.drive(0.1, 0.1)
     assert time.monotonic() - begin < 0.5
     assert counts == {"commands not sent": 100}
-    with pytest.raises(DeviceError, match="takes nothing any more"):
+    with pytest.raises(DeviceError, match="accepts no more data"):
         link.update(autopilot_link.now())
 
 

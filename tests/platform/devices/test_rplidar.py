@@ -289,7 +289,7 @@ def test_a_reboot_and_a_cut_line_are_survived(line):
     lidar.stop()
     errors = [r.message.text for r in inbox.of(Event) if r.message.level == "error"]
     assert len(errors) == 2
-    assert "measures nothing" in errors[0]
+    assert "sends no measurements" in errors[0]
 
 
 def test_a_lidar_with_an_error_is_reset(line, monkeypatch):

@@ -146,7 +146,7 @@ def test_it_starts_from_any_state(monkeypatch, before, options):
 def test_an_absent_sensor_is_an_error(monkeypatch):
     emulator, _ = sensor()
     bench = Bench(emulator, monkeypatch, spoil=lambda _: b"")
-    with pytest.raises(DeviceError, match="bench: nothing there speaks SCIP; check"):
+    with pytest.raises(DeviceError, match="bench: no SCIP device answers; check"):
         bench.run()
 
 
@@ -246,7 +246,7 @@ def test_a_sensor_without_tm_is_stamped_by_arrival(monkeypatch):
     monkeypatch.delitem(urg_memory.COMMANDS, "TM")
     bench = Bench(emulator, monkeypatch, stop_after=30)
     stamps = np.array([scan.stamp for scan in bench.run()])
-    assert bench.events[0] == "its clock cannot be asked for: it does not know this command"
+    assert bench.events[0] == "its clock cannot be read: it does not know this command"
     late = stamps - true_begins(bench, room)
     assert 1e-3 < late.mean() < 5e-3  # by the sensor's 2 ms and the way
 
@@ -258,7 +258,7 @@ def test_a_bad_state_of_the_sensor_is_notified(monkeypatch):
     spoil = instead(b"STAT:Sensor works well.;8", told)
     bench = Bench(emulator, monkeypatch, stop_after=1, spoil=spoil)
     bench.run()
-    assert bench.events[0] == "the sensor says of itself: Motor tired"
+    assert bench.events[0] == "the sensor reports: Motor tired"
 
 
 @pytest.mark.parametrize(

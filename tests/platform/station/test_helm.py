@@ -175,7 +175,7 @@ def test_a_driver_takes_over_from_another_page_and_the_robot_stops(helm, wheels,
 
 def test_a_robot_without_a_drive_device_refuses_drivers():
     helm = Helm(None, (0.5, 1.0))
-    with pytest.raises(HelmError, match="nothing to drive with"):
+    with pytest.raises(HelmError, match="has no drive"):
         helm.take("a", "Ann")
     helm.emergency_stop("Ann")
 

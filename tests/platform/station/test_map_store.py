@@ -64,7 +64,7 @@ def test_a_map_goes_to_the_bin_and_comes_back(folder):
     assert binned.original == "map-2"
     assert binned.size > len(before)
     make(folder, "map-2", 1)
-    with pytest.raises(StoreError, match="there is such a map already"):
+    with pytest.raises(StoreError, match="a map of this name exists"):
         store.restore(binned.name)
     store.delete("map-2")
     store.restore(binned.name)
@@ -76,7 +76,7 @@ def test_a_map_goes_to_the_bin_and_comes_back(folder):
 
 def test_the_map_that_is_being_made_is_not_deleted(folder):
     store = MapStore(folder, lambda: "map-1")
-    with pytest.raises(StoreError, match="is being made"):
+    with pytest.raises(StoreError, match="is the map in progress"):
         store.delete("map-1")
     store.delete("map-2")
 

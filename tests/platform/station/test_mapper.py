@@ -453,7 +453,7 @@ def test_a_failing_estimator_is_a_one_line_error_and_can_be_restarted(room, capl
     status = mapper.status()
     assert status.detail.startswith("ZeroDivisionError: two lines;")
     wait_until(lambda: view.snapshot().finished)
-    assert view.snapshot().why == "mapping has failed; the robot is not followed"
+    assert view.snapshot().why == "mapping has failed; the robot is not tracked"
     assert len([r for r in caplog.records if r.levelno >= logging.ERROR]) == 1
     mapper.put(room[0])
     mapper.stop()

@@ -168,7 +168,7 @@ def test_a_continued_map_is_saved_as_a_new_one(corridors):
 def test_an_ended_map_can_be_continued_or_deleted(corridors):
     robot, messages = corridors
     name = robot.keeper.name
-    with pytest.raises(ImpError, match="being made"):
+    with pytest.raises(ImpError, match="in progress"):
         robot.maps.delete(name)
     robot.end_mapping()
     scans = robot.mapper.status().steps
@@ -177,7 +177,7 @@ def test_an_ended_map_can_be_continued_or_deleted(corridors):
     ]
     wait_until(lambda: robot.view.snapshot().finished)
     shown = robot.view.snapshot()
-    assert (shown.state, shown.why) == ("LOST", "mapping has ended; the robot is not followed")
+    assert (shown.state, shown.why) == ("LOST", "mapping has ended; the robot is not tracked")
     assert len(shown.path) > 0
     robot.continue_map(name)
     send(robot, messages[:100])

@@ -149,7 +149,9 @@ class Accounts:
         except FileNotFoundError:
             return _PasswordFile.model_construct(salt=secrets.token_bytes(SALT_SIZE))
         except OSError as error:
-            raise AccountsError(f"{self.path}: {error.strerror}; make it yours to read") from None
+            raise AccountsError(
+                f"{self.path}: {error.strerror}; make it readable for your user"
+            ) from None
         if mode & _PRIVATE:
             raise AccountsError(
                 f"{self.path} can be read by others (mode {stat.S_IMODE(mode):04o}): "
@@ -159,7 +161,7 @@ class Accounts:
             return _PasswordFile.model_validate_json(text)
         except ValidationError:
             raise AccountsError(
-                f"{self.path} is not a file of passwords; remove it, and set them anew"
+                f"{self.path} is not a file of passwords; remove it, and set the passwords again"
             ) from None
 
     def _write(self, stored: _PasswordFile) -> None:

@@ -157,11 +157,11 @@ class Authenticator:
         wait = self._throttle.wait(address)
         if wait > 0.0:
             self.refusals.record(address, what, "too many tries")
-            raise LoginRefused("Too many tries.", wait)
+            raise LoginRefused("Too many attempts.", wait)
         right = self._cached_right(password) or await self._check_hash(password)
         if right is None:
             self.refusals.record(address, what, "a wrong password")
-            raise LoginRefused("This is not a password of this robot.")
+            raise LoginRefused("Wrong password.")
         self._throttle.forgive(address, wholly=right == "drive")
         return right
 

@@ -51,7 +51,7 @@ FAULTS: Mapping[str, Mapping[str, faults.Fault]] = {
 def fault_panel(fault: Fault, viewer: Viewer) -> None:
     """Add a button for each fault of each device."""
     with card("Virtual robot", "bolt", "faults"), html.details().classes("fold"):
-        tagged(html.summary(f"Let something go wrong for {SECONDS:.0f} s"), "faults")
+        tagged(html.summary(f"Inject a fault for {SECONDS:.0f} s"), "faults")
         for device, offered in FAULTS.items():
             html.h3(device.capitalize())
             with line():

@@ -71,7 +71,7 @@ class EventPanel:
     def __init__(self) -> None:
         self._newest: tuple[int, float] = (0, 0.0)
         with card("Events", "list_alt", "events"):
-            self._list = ui.html('<p class="soft">Nothing happened yet.</p>', sanitize=False)
+            self._list = ui.html('<p class="soft">No events yet.</p>', sanitize=False)
             tagged(self._list, "events").classes("events")
             self._list.props["role"] = "log"
 

@@ -72,7 +72,7 @@ class _LoginEndpoints:
         try:
             fields = parse_qs((await request.body()).decode("utf-8", "replace"), max_num_fields=8)
         except ValueError:
-            return self._page_with(_FORM, "That was no login.", status=400)
+            return self._page_with(_FORM, "Invalid login request.", status=400)
         try:
             token, _ = await self._authenticator.enter(
                 address(request), fields.get("password", [""])[0]

@@ -59,7 +59,7 @@ class MappingPanel:
 
     async def _on_restart(self) -> None:
         if await self._viewer.confirm(
-            "Begin a new map? The present one stays under Maps.", "New map"
+            "Begin a new map? The current one stays under Maps.", "New map"
         ):
             await self._on_start()
 
@@ -84,7 +84,7 @@ def notice(status: MapperStatus) -> str:
     if status.state == "compiling":
         return STATE_TEXTS["compiling"]
     if status.state == "off" and status.steps:
-        return "Mapping has ended; the robot is not followed"
+        return "Mapping has ended; the robot is not tracked"
     return ""
 
 

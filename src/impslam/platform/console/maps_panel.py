@@ -26,7 +26,7 @@ class MapsPanel(StoredPanel[StoredMap]):
             moment(one.modified),
             size(one.size),
             f"{one.scans} scans" if one.scans else "",
-            "being made" if one.mapping else "",
+            "in progress" if one.mapping else "",
             "with report" if one.report else "",
             "damaged" if one.damage else "",
         )

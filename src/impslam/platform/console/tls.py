@@ -93,7 +93,9 @@ def own_certificate(
     try:
         _write_new(pem, wanted, moment)
     except OSError as error:
-        raise CertificateError(f"{folder}: {_reason(error)}; make it yours to write") from None
+        raise CertificateError(
+            f"{folder}: {_reason(error)}; make it writable for your user"
+        ) from None
     return pem
 
 

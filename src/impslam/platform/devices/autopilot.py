@@ -36,13 +36,15 @@ MAX_ABSENCE = 300.0  # s for which losses are counted; the sequence wraps after 
 Level: TypeAlias = Literal["info", "warning"]
 
 _FLAGS: dict[Flag, tuple[Level, str, str]] = {
-    Flag.STOPPED: ("warning", "emergency stop holds", "emergency stop released"),
+    Flag.STOPPED: ("warning", "emergency stop is active", "emergency stop released"),
     Flag.DEAD_MAN: ("info", "no command for 0.5 s, motors off", ""),
     Flag.STALL_LEFT: ("warning", "left motor stalls", "left motor turns again"),
     Flag.STALL_RIGHT: ("warning", "right motor stalls", "right motor turns again"),
-    Flag.LOW_SUPPLY: ("warning", "supply is low; charge the battery", "supply is well again"),
+    Flag.LOW_SUPPLY: ("warning", "supply is low; charge the battery", "supply is normal again"),
 }
-_STANDS = "the robot is driven, but its wheels stand: it is blocked, or its motors have no power"
+_STANDS = (
+    "the motors are driven, but the wheels stand: the robot is blocked, or its motors have no power"
+)
 
 
 @dataclass(slots=True)
@@ -179,7 +181,7 @@ class Autopilot(DriveDevice):
             self._count("silences", 1)
         if silence > timeout:  # with the same text each time, so that it is notified once
             raise DeviceError(
-                f"{self.port}: nothing understood for {timeout:.1f} s; check the autopilot's supply, "
+                f"{self.port}: no valid message for {timeout:.1f} s; check the autopilot's supply, "
                 "its wiring and the baud rate"
             )
         if state.hello is None and moment - state.opened_at > REOPEN_TIMEOUT:

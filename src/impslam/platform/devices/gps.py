@@ -51,7 +51,7 @@ class NmeaReceiver(Device):
                         self._deliver_epoch(epoch, clock)
                 if now() - max(last_sentence, opened_at) > SILENCE_TIMEOUT:
                     raise DeviceError(
-                        f"{self.port}: no GGA, RMC or GST understood for {SILENCE_TIMEOUT:.0f} s; "
+                        f"{self.port}: no GGA, RMC or GST sentence for {SILENCE_TIMEOUT:.0f} s; "
                         f"check the receiver's supply, its wiring and baud ({self.baud})"
                     )
 

@@ -28,22 +28,22 @@ CHUNK = 4096  # bytes, one page: the buffer of a tty
 
 _ADVICE = {
     errno.ENOENT: "no such port; plug it in, and see `ls /dev/serial/by-id`",
-    errno.ENODEV: "the device has gone; plug it in",
-    errno.ENXIO: "the device has gone; plug it in",
+    errno.ENODEV: "the device has been unplugged; plug it in",
+    errno.ENXIO: "the device has been unplugged; plug it in",
     errno.EACCES: "not allowed; add the user to the group dialout and log in again",
     errno.EPERM: "not allowed; add the user to the group dialout and log in again",
     errno.EAGAIN: "another program has it open; close that one",
     errno.EBUSY: "another program has it open; close that one",
-    errno.EIO: "the line is dead; check the plug",
-    errno.ENOTTY: "this is no serial port; check the path",
-    errno.ECONNREFUSED: "nothing listens there; check its supply, and the port's number",
+    errno.EIO: "the connection has failed; check the plug",
+    errno.ENOTTY: "not a serial port; check the path",
+    errno.ECONNREFUSED: "connection refused; check its supply and the port number",
     errno.EHOSTUNREACH: "cannot be reached; check its address, its supply and the network",
     errno.ENETUNREACH: "cannot be reached; check its address, its supply and the network",
     errno.ETIMEDOUT: "does not answer; check its address, its supply and the network",
 }
 _LOOKUP_ADVICE = {  # separate, as on other systems than Linux these numbers may equal those above
     socket.EAI_NONAME: "no such host; check its name, or give its address",
-    socket.EAI_AGAIN: "its name cannot be looked up; check the network, or give its address",
+    socket.EAI_AGAIN: "its name cannot be resolved; check the network, or give its address",
 }
 
 
@@ -119,7 +119,9 @@ def read_some(port: serial.SerialBase, wait: float = IO_TIMEOUT) -> bytes:
     except (OSError, ValueError, TypeError) as error:  # pyserial's of a port closed meanwhile
         raise _device_error(port.port, "has been lost", error) from error
     if not data:
-        raise DeviceError(f"{port.port}: has been lost: the other end hung up; check the plug")
+        raise DeviceError(
+            f"{port.port}: has been lost: the other end closed the connection; check the plug"
+        )
     return data
 
 
@@ -138,7 +140,7 @@ def write_all(port: serial.SerialBase, data: bytes) -> None:
         while left:
             _, ready, _ = select.select([], [port.fileno()], [], max(0.0, end - time.monotonic()))
             if not ready:
-                raise DeviceError(f"{port.port}: takes nothing any more; check the device")
+                raise DeviceError(f"{port.port}: accepts no more data; check the device")
             left = left[os.write(port.fileno(), left) :]
     except (OSError, ValueError, TypeError) as error:  # pyserial's of a port closed meanwhile
         raise _device_error(port.port, "cannot be written to", error) from error

@@ -148,7 +148,7 @@ class RPLidar(Device):
         if condition.status == 2:
             raise DeviceError(
                 f"{self.port}: the RPLidar reports the error 0x{condition.code:04X}; "
-                "free its head, and unplug it for a moment"
+                "free its head, then unplug it and plug it in again"
             )
         if condition.status == 1:
             self._notify("warning", f"reports the warning 0x{condition.code:04X}; it may fail soon")
@@ -156,7 +156,9 @@ class RPLidar(Device):
     def _query_condition(self, link: _Link) -> Condition:
         data = link.query(Command.HEALTH)
         if data is None:
-            raise DeviceError(f"{self.port}: the RPLidar answers no more; unplug it for a moment")
+            raise DeviceError(
+                f"{self.port}: the RPLidar does not answer any more; unplug it and plug it in again"
+            )
         return Condition.parse(data)
 
     def _measure(self, link: _Link, model: RplidarModel) -> None:
@@ -180,7 +182,7 @@ class RPLidar(Device):
             counted = self._update_counts(link.parser, turns, counted)
             if arrived > until:
                 raise DeviceError(
-                    f"{self.port}: the RPLidar measures nothing; see that its head turns"
+                    f"{self.port}: the RPLidar sends no measurements; check that its head turns"
                     + (', and set mode = "standard" if its firmware is old' if express else "")
                 )
 

@@ -149,7 +149,7 @@ def sweep(response: Response, width: int, number: int) -> Sweep:
     full, rest = divmod(number * width, BLOCK)
     expected = [BLOCK + 1] * full + ([rest + 1] if rest else [])
     if [len(block) for block in blocks] != expected:
-        raise DamagedError("its lines do not have the lengths that the scan asked for has")
+        raise DamagedError("its lines do not have the lengths of the requested scan")
     return Sweep(stamp, decode(b"".join(map(without_checksum, blocks)), width))
 
 

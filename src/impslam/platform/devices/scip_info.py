@@ -36,7 +36,7 @@ def fields(body: tuple[bytes, ...]) -> dict[str, str]:
         content, semicolon, seal = line.rpartition(b";")
         key, colon, value = content.partition(b":")
         if not semicolon or not colon or len(seal) != 1 or checksum(content) != seal[0]:
-            raise DamagedError("a line of what the sensor says of itself is damaged")
+            raise DamagedError("a line of the sensor's description is damaged")
         found[key.decode("ascii", "replace")] = value.decode("ascii", "replace").strip()[:_MAX_TEXT]
     return found
 
@@ -100,13 +100,13 @@ class MeasurementParameters:
         values = cls(content.get("MODL", ""), *(_number(content, key) for key in _BOUNDS))
         if values.shortest >= values.longest:
             raise DeviceError(
-                f"the sensor says DMIN {values.shortest} and DMAX {values.longest}, which leaves "
+                f"the sensor reports DMIN {values.shortest} and DMAX {values.longest}, which leaves "
                 "no distance to measure; is it a SCIP 2.0 range finder?"
             )
         if not values.first < values.last < values.first + values.steps:
             raise DeviceError(
-                f"the sensor says it measures from step {values.first} to {values.last} of "
-                f"{values.steps} a turn, which cannot be; is it a SCIP 2.0 range finder?"
+                f"the sensor reports measuring from step {values.first} to {values.last} of "
+                f"{values.steps} a turn, which is impossible; is it a SCIP 2.0 range finder?"
             )
         return values
 
@@ -130,7 +130,7 @@ def _number(content: dict[str, str], key: str) -> int:
     text, (low, high) = content.get(key, ""), _BOUNDS[key]
     if not (text.isdigit() and len(text) < 10 and low <= int(text) <= high):
         raise DeviceError(
-            f"the sensor says {key} = {text!r}, expected a number from {low} to {high}; "
+            f"the sensor reports {key} = {text!r}, expected a number from {low} to {high}; "
             "is it a SCIP 2.0 range finder?"
         )
     return int(text)

@@ -11,7 +11,7 @@ UPDATE_MODE: Final = "0I"
 
 _GENERAL = {
     OK: "all is well",
-    "0A": "the sensor could not make up its answer",
+    "0A": "the sensor could not compose its answer",
     "0B": "its buffer is full, or it is doing this already",
     "0C": "a parameter is missing",
     "0D": "it does not know this command",
@@ -22,15 +22,15 @@ _GENERAL = {
     UPDATE_MODE: "it is in firmware update mode; if RS does not end that, use Hokuyo's update tool",
 }
 _STEPS = {
-    "01": "the first step is no number",
-    "02": "the last step is no number",
-    "03": "the cluster count is no number",
+    "01": "the first step is not a number",
+    "02": "the last step is not a number",
+    "03": "the cluster count is not a number",
     "04": "the last step is out of range",
     "05": "the last step lies before the first",
 }
 _STREAM = _STEPS | {
-    "06": "the scan interval is no number",
-    "07": "the number of scans is no number",
+    "06": "the scan interval is not a number",
+    "07": "the number of scans is not a number",
     RESUMED: "it resumes: the laser works normally",
     DATA: "a scan",
 }
@@ -48,7 +48,7 @@ _WORDS: dict[str, dict[str, str]] = {
         "04": "the time is given in adjust mode only",
     },
     "SS": {
-        "01": "the bit rate is no number",
+        "01": "the bit rate is not a number",
         "02": "there is no such bit rate",
         "03": "it has this bit rate already",
         "04": "this model's bit rate cannot be set",

@@ -113,7 +113,7 @@ class Urg(Device):
         if rs232:
             self._warn(self._too_slow(link.bit_rate))
         if state := read_state(link):
-            self._warn(f"the sensor says of itself: {state}")
+            self._warn(f"the sensor reports: {state}")
         # Initial delay in case TM is missing: a scan is not sent before its last step.
         self._times = SweepTimes(self._clock, self._period, parameters.last * parameters.step_time)
         self._warn(synchronise(link, self._times, self._stopping))

@@ -64,7 +64,7 @@ def wake(link: ScipLink, rs232: bool) -> None:
         if _silence(link):
             return
     raise UnansweredError(
-        f"{link.where}: nothing there speaks SCIP; check that it is a Hokuyo with SCIP 2.0, that it "
+        f"{link.where}: no SCIP device answers; check that it is a Hokuyo with SCIP 2.0, that it "
         "has power, and the port"
     )
 
@@ -143,7 +143,7 @@ def synchronise(link: ScipLink, times: SweepTimes, stopping: threading.Event) ->
     """Query the sensor's clock (TM); return why it cannot be read, or ""."""
     status = link.query(scip.request("TM", "0")).response.status
     if status not in (scip_status.OK, "02"):
-        return f"its clock cannot be asked for: {scip_status.words('TM', status)}"
+        return f"its clock cannot be read: {scip_status.words('TM', status)}"
     for number in range(SYNC_ROUNDS):
         stopping.wait(1.7e-3 * (number % 3))  # samples other phases of its ms
         with contextlib.suppress(DamagedError, UnansweredError):

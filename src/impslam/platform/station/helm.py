@@ -96,7 +96,7 @@ class Helm:
         """
         with self._lock:
             if self._device is None:
-                raise HelmError("this robot has nothing to drive with; add a drive device to it")
+                raise HelmError("this robot has no drive; add a drive device to the robot file")
             if self._driver is not None and driver != self._driver[0] and name != self._driver[1]:
                 raise HelmError(f"{self._driver[1]} is driving; ask them to release control")
             changed = self._driver is None

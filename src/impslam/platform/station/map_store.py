@@ -66,7 +66,7 @@ class MapStore(Store):
             If there is no such map, it is being made, or the disk refuses.
         """
         if self.path(name).name == self._making():
-            raise StoreError(f"{name}: is being made; begin a new map before deleting it")
+            raise StoreError(f"{name}: is the map in progress; begin a new map before deleting it")
         self.discard(name)
 
     def _describe(self, name: str) -> StoredMap | None:

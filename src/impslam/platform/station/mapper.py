@@ -134,7 +134,7 @@ class LiveMapper:
     def _draft(self) -> tuple[Callable[[], tuple[Map, Outcome]], Array]:
         mapping = self._mapping
         if mapping is None or mapping.run.scans == 0:
-            raise ImpError("there is no map to save yet; start mapping and wait for a scan")
+            raise ImpError("no map to save yet; start mapping and wait for a scan")
         return mapping.draft()
 
     def status(self) -> MapperStatus:
@@ -211,7 +211,9 @@ class _Mapping:
         """
         with self._next_turn:
             if not self._busy.acquire(timeout=SCAN_TIMEOUT):
-                raise ImpError("the estimator has been at one scan for 10 s; stop mapping first")
+                raise ImpError(
+                    "the estimator has been processing one scan for 10 s; stop mapping first"
+                )
             try:
                 return self.run.draft(LIVE), self._truth.path
             finally:
@@ -276,7 +278,7 @@ class _Mapping:
             self._fail(f"{type(error).__name__}: {error}; start a new map, and please report it")
         # Until a new map begins, the page would show the last pose as if it were the present one.
         self._view.end(
-            f"mapping has {'failed' if self._failure else 'ended'}; the robot is not followed"
+            f"mapping has {'failed' if self._failure else 'ended'}; the robot is not tracked"
         )
 
     def _fail(self, reason: str) -> None:

@@ -132,9 +132,11 @@ class Player:
         """
         position, total = self._position
         if not total:
-            raise ImpError("how long this log is, is not known yet; play it as fast as possible")
+            raise ImpError("the length of this log is not known yet; play it as fast as possible")
         if share * total < position:
-            raise ImpError("a replay cannot go back, for a map does not forget; start it again")
+            raise ImpError(
+                "a replay cannot go back, because scans cannot be removed from the map; start it again"
+            )
         self._seek_target = share * total
         self._pace.set_unpaced(True)
 

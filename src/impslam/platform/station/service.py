@@ -36,7 +36,7 @@ def unit(program: Path, user: str, folder: Path, arguments: Sequence[str] = ()) 
             raise ConfigError(f"{path}: a service needs absolute paths; give the whole path")
     for word in (str(program), str(folder), *arguments):
         if not word.isprintable():
-            raise ConfigError(f"{word!r}: a unit file takes no such characters; rename it")
+            raise ConfigError(f"{word!r}: a unit file cannot contain such characters; rename it")
     template = Template((files("impslam.platform.station") / "imp.service").read_text("utf-8"))
     return template.substitute(
         # systemd expands variables only in arguments, not in the path of the program.
@@ -53,11 +53,11 @@ def unit(program: Path, user: str, folder: Path, arguments: Sequence[str] = ()) 
 
 def _home(user: str) -> Path:
     if _USER.fullmatch(user) is None:
-        raise ConfigError(f"{user!r} is no user's name; give --user the one that runs the robot")
+        raise ConfigError(f"{user!r} is not a user name; give --user the user that runs the robot")
     try:
         return Path(f"~{user}").expanduser()
     except RuntimeError:
-        raise ConfigError(f"there is no user {user!r}; make one: sudo adduser {user}") from None
+        raise ConfigError(f"there is no user {user!r}; create it: sudo adduser {user}") from None
 
 
 def _plain(text: str) -> str:

@@ -188,7 +188,7 @@ class Store:
                 target.open("xb").close()
         except FileExistsError:
             raise StoreError(
-                f"{target.name}: there is such a {self._kind.word} already; delete it first"
+                f"{target.name}: a {self._kind.word} of this name exists; delete it first"
             ) from None
         except OSError as error:
             raise self._refusal(target.name, error) from None

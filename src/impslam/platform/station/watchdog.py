@@ -76,7 +76,9 @@ class Watchdog:
                 if self._alive():
                     notify("WATCHDOG=1", *self._status_lines())
                 else:
-                    log.error("the robot is not alive any more; systemd will restart it")
+                    log.error(
+                        "the robot program does not respond any more; systemd will restart it"
+                    )
             except Exception:  # counts as not alive
                 log.exception("the watchdog cannot check whether the robot is alive")
             if self._closing.wait(period):

@@ -42,7 +42,7 @@ def _answer(imp: VirtualImp, request: Mapping[str, Any]) -> Answer:
         return {}
     since = request.get("since", 0.0)
     if not isinstance(since, int | float):
-        raise ConfigError(f"since = {since!r} is no time in s")
+        raise ConfigError(f"since = {since!r} is not a time in s")
     queries: dict[str, Callable[[], Answer]] = {
         "ports": lambda: dict(imp.ports()),
         "truth": lambda: imp.truth(since),
@@ -50,5 +50,5 @@ def _answer(imp: VirtualImp, request: Mapping[str, Any]) -> Answer:
     }
     query = str(request.get("ask"))
     if query not in queries:
-        raise ConfigError(f"cannot be asked for {query!r}; {near_miss(query, queries)}")
+        raise ConfigError(f"unknown query {query!r}; {near_miss(query, queries)}")
     return queries[query]()

@@ -46,7 +46,7 @@ from impslam.types import Array
 RECORDED = ("intel", "fr079", "fr-hospital")
 WORLDS = {"arena": None, "building": BUILDING}
 GRAPH = ("tracker.kind=scan_to_map", "estimator.kind=graph")
-NO_LOOPS, DEAD = "estimator.loops.attempts=0", "tracker.kind=odometry"
+NO_LOOPS, DEAD = "estimator.loops.candidates=0", "tracker.kind=odometry"
 RADIUS, SAMPLE = 0.3, 1500  # m around a point, and points, for the measures of the point cloud
 OURS = ("disagreement_m", "within_m", "between_m", "thickness_m", "contradicted", "doubled")
 OTHERS = ("mean map entropy", "mean plane variance", "occupied cells")

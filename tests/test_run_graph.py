@@ -28,7 +28,7 @@ from impslam.types import LaserScan, OdometryPose, TruePose
 DRIFT = 0.003  # rad/m
 SETTINGS = ["sensors.lidar.mount=[0.15,0,0]", "start=[3.0,1.25,0.0]"]
 DEAD_RECKONED = ["tracker.kind=odometry"]
-OPEN = ["estimator.loops.attempts=0"]
+OPEN = ["estimator.loops.candidates=0"]
 TIMES = {"report.html", "report.png", "summary.json"}
 """Figures that are times stand in these."""
 

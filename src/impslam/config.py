@@ -396,7 +396,7 @@ def load_plugins(base: str | Path = "default", settings: Sequence[str] = ()) -> 
 def _load_plugins(table: Table) -> None:
     places = table.get("plugins", ())
     if not isinstance(places, list | tuple) or not all(isinstance(p, str) for p in places):
-        raise ConfigError(f'plugins = {places!r}: expected a list, e.g. plugins = ["my_part.py"]')
+        raise ConfigError(f'plugins = {places!r}: expected a list, e.g. plugins = ["my_filter.py"]')
     for place in places:
         load_plugin(place)
 

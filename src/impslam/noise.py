@@ -111,9 +111,9 @@ class MotionNoise(Parameters):
     systematic: float = parameter(
         0.0,
         "1",
-        "share of the turns' variances that is due to constant errors, as of the track. Filters that can "
-        "consider them (Schmidt) then do not treat them as drawn anew: the standard deviation grows with "
-        "the motion instead of its root, and is the same at 1 m or 1 rad",
+        "share of the turns' variances that is due to constant errors, such as that of the track. Filters "
+        "that consider them (Schmidt) let their standard deviation grow with the motion instead of its "
+        "root; it is the same at 1 m or 1 rad",
         ge=0,
         le=1,
     )

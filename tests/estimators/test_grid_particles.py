@@ -48,7 +48,7 @@ def test_many_particles_close_a_loop_that_one_does_not():
     scans = [scanned(RING, pose, noise=0.01, rng=rng) for pose in TRUTH]
     frames = [keyframe(k, *row) for k, row in enumerate(zip(felt, scans, strict=True))]
     for particles in (1, 30):
-        made = begun(particles=particles, wide=0.08, tails=np.inf)
+        made = begun(particles=particles, wide=0.08, dof=np.inf)
         driven(made, frames)
         errors[particles] = apart(made)
     assert errors[1] > 0.5
@@ -88,7 +88,10 @@ def test_without_scans_particles_spread_as_the_motion_does():
 
 def test_a_scan_in_a_known_map_determines_the_pose():
     """Where points are many and do not share errors, the scan outweighs a motion that is 2 cm off."""
-    made, scan = begun(particles=50, recent=0.0, shared=1.0), scanned(RING, TRUTH[0])
+    made, scan = (
+        begun(particles=50, insertion_distance=0.0, correlated_points=1.0),
+        scanned(RING, TRUTH[0]),
+    )
     made.add(keyframe(0, np.zeros(3), scan))
     revision = made.add(keyframe(1, np.array([0.02, -0.015, 0.004]), scan))
     assert np.abs(wrapped(revision.poses[-1] - TRUTH[0], 2)).max() < 3e-3

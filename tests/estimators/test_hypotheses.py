@@ -67,7 +67,7 @@ def test_a_later_scan_resolves_the_ambiguity_and_revises_the_path():
 
 
 def test_a_single_hypothesis_takes_the_likelier_landmark():
-    made, _ = ambiguous(most=1)
+    made, _ = ambiguous(max_hypotheses=1)
     told = made.add(keyframe(3, [point(ASTRAY, FAR), point(ASTRAY, TWINS[1])]))
     assert told.ids.tolist() == [3]
 
@@ -141,9 +141,9 @@ def test_densities_are_those_of_the_noise_that_corrects():
     nu, S, R = match.innovation, match.S, seen[0].R
     normal = multivariate_normal(np.zeros(2), S)
     assert belief.log_densities(seen, [match]) == pytest.approx([normal.logpdf(nu)])
-    heavy = Ekf(tails=4.0, repeats=8.0).log_densities(seen, [match])
+    heavy = Ekf(dof=4.0, repeats=8.0).log_densities(seen, [match])
     assert heavy == pytest.approx([multivariate_t(np.zeros(2), S + 7.0 * R, df=4).logpdf(nu)])
-    alone = Ekf(tails=4.0, repeats=8.0).log_densities(seen, [match], alone=True)
+    alone = Ekf(dof=4.0, repeats=8.0).log_densities(seen, [match], alone=True)
     assert alone == pytest.approx([multivariate_t(np.zeros(2), S, df=4).logpdf(nu)])
 
 

@@ -78,7 +78,7 @@ def test_a_fresh_filter_has_no_state_of_the_old_one(belief):
 
 def open_room(belief):
     """Return an estimator with a cylinder 2 m ahead, and a scan of a wall behind that place."""
-    slam = estimator(belief, Tentative(confidence=5.0))
+    slam = estimator(belief, Tentative(max_score=5.0))
     angles = np.linspace(-1, 1, 401)
     message = LaserScan(0.0, angles, 3.0 / np.cos(angles), np.zeros(401))
     (cut,) = batches([("lidar", message)])

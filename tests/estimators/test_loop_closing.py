@@ -158,7 +158,7 @@ def frames():
 
 
 def test_nothing_is_tried_without_attempts(frames):
-    made = seeking(frames, attempts=0)
+    made = seeking(frames, candidates=0)
     assert made._closer.recogniser.counts["attempts"] == 0
 
 
@@ -174,7 +174,7 @@ def test_the_number_of_candidates_at_a_node_is_limited(frames, attempts):
 
 def test_no_search_where_the_path_through_the_graph_is_short(frames):
     """The whole lap is 56 m; a way back that long is nowhere."""
-    made = seeking(frames, way_back=200.0)
+    made = seeking(frames, min_path=200.0)
     assert made._closer.recogniser.counts["attempts"] == 0
 
 
@@ -186,7 +186,7 @@ def test_a_closed_loop_is_not_searched_again(frames):
 
 def test_out_of_the_window_nothing_is_found(frames):
     """So little drift is allowed that the window misses the place by a metre."""
-    made = seeking(frames, drift=0.001, least=0.1, turn_drift=1e-4, least_turn=0.01)
+    made = seeking(frames, drift=0.001, min_window=0.1, turn_drift=1e-4, min_turn_window=0.01)
     assert made._graph.closures == 0
 
 

@@ -40,7 +40,7 @@ def test_many_particles_have_the_posterior_of_the_ekf(version, off):
     """After few steps, before ancestors are few: the same mean and covariance, up to the draws."""
     rng = np.random.default_rng(3)
     steps = [(motion, observe(pose, rng)) for pose, motion in drive(3, rng)]
-    made, ekf = started(particles=4000, version=version, effective=0.1), Ekf()
+    made, ekf = started(particles=4000, version=version, resample_below=0.1), Ekf()
     ekf.start(np.zeros(3), 1e-8 * np.eye(3), MODELS)
     for motion, seen in steps:
         revision = made.add(keyframe(motion, seen))
@@ -59,7 +59,7 @@ def test_sampling_with_the_scan_keeps_more_particles():
     """Precise sensor, poor odometry: of FastSLAM 1's particles few are anywhere near."""
     kept = []
     for version in (1, 2):
-        rng, made = np.random.default_rng(4), started(version=version, effective=1e-9)
+        rng, made = np.random.default_rng(4), started(version=version, resample_below=1e-9)
         for pose, motion in drive(2, rng):
             made.add(keyframe(motion, observe(pose, rng)))
         weights = made._weights()

@@ -37,7 +37,7 @@ def test_outliers_fade_where_tails_are_heavy(kind):
     """Four detections 3 m off, of 200: with Gaussian noise they throw the robot off its way."""
     spoil, seeds = np.array([2.0, -2.2]), range(5)
     plain = np.mean([worst(s, spoil, kind=kind) for s in seeds])
-    heavy = np.mean([worst(s, spoil, kind=kind, tails=4.0) for s in seeds])
+    heavy = np.mean([worst(s, spoil, kind=kind, dof=4.0) for s in seeds])
     clean = np.mean([worst(s, kind=kind) for s in seeds])
     assert heavy < 1.5 * clean
     assert plain > 4.0 * clean
@@ -57,7 +57,7 @@ def corrected(z, **parameters):
 
 
 def test_a_fitting_detection_has_full_weight():
-    once, heavy = corrected(match_z() + 0.01), corrected(match_z() + 0.01, tails=4.0)
+    once, heavy = corrected(match_z() + 0.01), corrected(match_z() + 0.01, dof=4.0)
     assert heavy[2].distance2 < 2.0
     np.testing.assert_array_equal(once[0], heavy[0])
     np.testing.assert_array_equal(once[1], heavy[1])
@@ -65,7 +65,7 @@ def test_a_fitting_detection_has_full_weight():
 
 def test_an_outlier_has_the_weight_of_students_t():
     z = match_z() + 0.2
-    moved, P, match = corrected(z, tails=4.0)
+    moved, P, match = corrected(z, dof=4.0)
     assert match.distance2 > 20.0
     wider, P_wider = one_of(z, (4.0 + match.distance2) / (4.0 + 2.0) * R_POINT)
     np.testing.assert_allclose(moved, wider, rtol=1e-12)

@@ -60,7 +60,7 @@ def test_a_slow_walker_is_never_confirmed():
 
 
 def test_landmarks_seen_too_rarely_are_dropped():
-    lifecycle = started(Tentative(sightings=3, patience=0.5))
+    lifecycle = started(Tentative(sightings=3, timeout=0.5))
     assert sightings(lifecycle, ([(2, 1)] + [None] * 8) * 5) == []
 
 
@@ -88,8 +88,8 @@ def trial(scan, matched, lifecycle=None, ids=(7,), rate=0.25):
     return gone
 
 
-def test_landmarks_only_in_the_first_scan_are_removed_after_the_patience(scan_of_a_wall):
-    assert trial(scan_of_a_wall, [()] * 20, Tentative(patience=1.0)) == {7: 5}
+def test_landmarks_only_in_the_first_scan_are_removed_after_the_timeout(scan_of_a_wall):
+    assert trial(scan_of_a_wall, [()] * 20, Tentative(timeout=1.0)) == {7: 5}
 
 
 def test_landmarks_in_the_first_scan_and_enough_others_stay(scan_of_a_wall):
@@ -142,7 +142,7 @@ def scan_of_a_wall():
 
 
 def reviews(scan, ends, pose=(0, 0, 0), count=40):
-    lifecycle = started(Tentative(confidence=10.0))
+    lifecycle = started(Tentative(max_score=10.0))
     ends = np.array([ends], dtype=float)
     for i in range(count):
         if lifecycle.review(scan, np.array(pose, dtype=float), np.array([7]), ends, []):
@@ -172,7 +172,7 @@ def test_the_check_follows_the_pose(scan_of_a_wall):
 
 
 def test_long_confirmed_landmarks_are_removed_later_than_new_ones(scan_of_a_wall):
-    lifecycle = started(Tentative(confidence=10.0))
+    lifecycle = started(Tentative(max_score=10.0))
     gone, ids = np.array([[[2.0, 0.0], [2.0, 0.0]]]), np.array([7])
     for _ in range(50):
         match = Match(0, 7, np.zeros(2), R, 0.0)

@@ -19,7 +19,7 @@ class GatedAssociation(Association):
     new_gate: float = parameter(
         0.999999,
         "1",
-        "an observation within this gate of a landmark, yet not matched, is too near to be new",
+        "an unmatched observation within this gate of a landmark does not become a new landmark",
         gt=0,
         lt=1,
     )

@@ -151,21 +151,21 @@ class Jcbb(GatedAssociation):
     budget: int = parameter(
         2000,
         "1",
-        "pairings that the search tries (about 1 us each); then it returns the best set so far, "
+        "maximum number of pairings to try (about 1 us each); then the best set so far is returned, "
         "which is compatible but perhaps not the largest",
         ge=1,
     )
     density: float = parameter(
         DENSITY,
         "1/z",
-        "other landmarks of the kind in a unit of measurement space, as for `mahalanobis`",
+        "density of other landmarks of the kind in measurement space, as for `mahalanobis`",
         gt=0,
     )
     odds: float = parameter(
         MIN_ODDS,
         "1",
-        "a pair must make its set this many times as likely as another of as many pairs, or as another "
-        "object: a wrong match costs as much as this many unused observations",
+        "a pair must make its set this many times as likely as another set of as many pairs, or as an "
+        "unknown object: a wrong match costs as much as this many unused observations",
         ge=1,
     )
 

@@ -43,14 +43,14 @@ class Mahalanobis(GatedAssociation):
     density: float = parameter(
         DENSITY,
         "1/z",
-        "other landmarks of the kind in a unit of measurement space: walls in 1 m and 1 rad (in maps of "
-        "offices 0.25 to 0.5), points in 1 m^2 (there fewer; outdoors far fewer)",
+        "density of other landmarks of the kind in measurement space: walls per m and rad (0.25 to 0.5 in "
+        "maps of offices), points per m^2 (fewer; outdoors far fewer)",
         gt=0,
     )
     odds: float = parameter(
         MIN_ODDS,
         "1",
-        "a match must be this many times as likely as the likeliest choice without it: a wrong match "
+        "a match must be this many times as likely as the best assignment without it: a wrong match "
         "costs as much as this many unused observations",
         ge=1,
     )

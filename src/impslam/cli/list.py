@@ -20,7 +20,9 @@ ROBOT = "simulated-robot"
 Row: TypeAlias = tuple[str, ...]
 PluginConfig: TypeAlias = Annotated[
     str | None,
-    Parameter(name=["--config", "-c"], help="A TOML file; lists the parts of its plug-ins, too."),
+    Parameter(
+        name=["--config", "-c"], help="A TOML file; lists the components of its plug-ins, too."
+    ),
 ]
 
 

@@ -307,7 +307,7 @@ class Graph(Estimator):
 
 def _everywhere(search: LoopSearch) -> LoopSearch:
     """Return the search in a frozen map, to which every node is aligned."""
-    return search.model_copy(update={"way_back": 0.0})
+    return search.model_copy(update={"min_path": 0.0})
 
 
 def _refinable(keys: KeyframeLog, graph: PoseGraph) -> Part:

@@ -64,10 +64,10 @@ class GridParticles(Estimator):
     keyframes: ClassVar[KeyframeGate] = KeyframeGate(distance=0.4, angle=0.4, seconds=math.inf)
 
     particles: int = parameter(30, "1", "number of particles", ge=1)
-    effective: float = parameter(
+    resample_below: float = parameter(
         0.5, "1", "share of effective particles below which they are resampled", gt=0, le=1
     )
-    recent: float = parameter(
+    insertion_distance: float = parameter(
         12.0,
         "m",
         "distance after which a scan enters the particles' maps: the tracker has already aligned later "
@@ -81,11 +81,13 @@ class GridParticles(Estimator):
     sigma: float = parameter(
         0.03, "m", "standard deviation of a point and of the surface that it is on", gt=0
     )
-    shared: float = parameter(40.0, "1", "number of points of a scan with a common error", ge=1)
-    tails: float = parameter(
+    correlated_points: float = parameter(
+        40.0, "1", "number of points of a scan with a common error", ge=1
+    )
+    dof: float = parameter(
         4.0,
         "1",
-        "degrees of freedom of the motion (heavy tails); inf: Gaussian",
+        "degrees of freedom of the motion (Student's t); inf: Gaussian",
         gt=0,
         special="inf",
     )
@@ -150,8 +152,8 @@ class GridParticles(Estimator):
         return revision
 
     def _alignment(self) -> Alignment:
-        information = 1.0 / (self.sigma**2 * self.shared)
-        return Alignment(ITERATIONS, self.wide, self.narrow, information, 1, self.tails)
+        information = 1.0 / (self.sigma**2 * self.correlated_points)
+        return Alignment(ITERATIONS, self.wide, self.narrow, information, 1, self.dof)
 
     def _add_cost(self, cost: Array) -> None:
         """Update the log weights by -2 log likelihood (P,)."""
@@ -183,7 +185,7 @@ class GridParticles(Estimator):
     def _resample_if_needed(self) -> None:
         """Resample the particles if too few are effective."""
         weights = self._weights()
-        if 1.0 / (weights @ weights) >= self.effective * self.particles:
+        if 1.0 / (weights @ weights) >= self.resample_below * self.particles:
             return
         parents = systematic(weights, self._rng.random())
         self._rows, self._poses = parents, self._poses[parents]
@@ -194,11 +196,11 @@ class GridParticles(Estimator):
         self._resamplings += 1
 
     def _enter_scans(self) -> None:
-        """Enter scans into the maps that are far enough behind the robot; see `recent`."""
+        """Enter scans into the maps that are far enough behind the robot; see `insertion_distance`."""
         keys, newest = self._keys, len(self._keys) - 1
         while (
             self._entered <= newest
-            and keys.distance[newest] - keys.distance[self._entered] >= self.recent
+            and keys.distance[newest] - keys.distance[self._entered] >= self.insertion_distance
         ):
             k, view = self._entered, keys.views[self._entered]
             self._entered += 1

@@ -100,7 +100,7 @@ class MultipleHypotheses(Estimator):
     parts: ClassVar[tuple[str, ...]] = ("filter",)
     reports_landmarks: ClassVar[bool] = False
 
-    most: int = parameter(20, "1", "maximum number of hypotheses", ge=1)
+    max_hypotheses: int = parameter(20, "1", "maximum number of hypotheses", ge=1)
     gate: float = parameter(
         0.9999, "1", "probability that a true pairing passes the chi-square gate", gt=0, lt=1
     )
@@ -111,13 +111,13 @@ class MultipleHypotheses(Estimator):
         "tenth of the 0.3 of offices, because most observed landmarks are known",
         gt=0,
     )
-    odds: float = parameter(
-        1e-5, "1", "a hypothesis is dropped below this probability relative to the best", gt=0, lt=1
+    min_weight: float = parameter(
+        1e-5, "1", "hypotheses with less weight, relative to the best, are dropped", gt=0, lt=1
     )
-    same: float = parameter(
+    merge_distance: float = parameter(
         0.2,
         "sigma",
-        "beliefs are merged if all means differ by less; merging then widens them by at most 1 %",
+        "hypotheses are merged if all means differ by less; merging widens them by at most 1 %",
         ge=0,
     )
     agreement: float = parameter(
@@ -178,8 +178,8 @@ class MultipleHypotheses(Estimator):
         """Branch by one observation; branches without a solution are dropped if others are left."""
         branches = [b for h in self._hypotheses for b in self._branches(h, observation)]
         branches.sort(key=lambda branch: -branch.log_weight)
-        threshold = branches[0].log_weight + math.log(self.odds)
-        kept = [b for b in branches[: self.most] if b.log_weight >= threshold]
+        threshold = branches[0].log_weight + math.log(self.min_weight)
+        kept = [b for b in branches[: self.max_hypotheses] if b.log_weight >= threshold]
         extended, failed = list[Hypothesis](), NumericalError()
         for branch, own in zip(kept, _owned(kept), strict=True):
             try:
@@ -227,7 +227,7 @@ class MultipleHypotheses(Estimator):
         kept: list[Hypothesis] = []
         for hypothesis in sorted(self._hypotheses, key=lambda h: -h.log_weight):
             for other in kept:
-                if other.filter.resembles(hypothesis.filter, self.same):
+                if other.filter.resembles(hypothesis.filter, self.merge_distance):
                     total = np.logaddexp(other.log_weight, hypothesis.log_weight)
                     other.log_weight = float(total)
                     break

@@ -48,30 +48,36 @@ MIN_CONTRADICTIONS = 3  # nodes in a row: 7 m of driving
 class LoopSearch(Parameters):
     """Where to search for closures."""
 
-    way_back: float = parameter(
+    min_path: float = parameter(
         12.0,
         "m",
-        "shortest path through the graph to a candidate: a room and the way out",
+        "minimum path length through the graph to a candidate: a room and the way out",
         gt=0,
     )
     drift: float = parameter(
-        0.04, "m/m", "the pose's drift per path length, with a margin of four", gt=0, le=1
+        0.04, "m/m", "drift of the position per path length, with a margin of four", gt=0, le=1
     )
-    least: float = parameter(0.4, "m", "added to it: the convergence radius of one alignment", gt=0)
-    most: float = parameter(16.0, "m", "the widest window", gt=0)
-    turn_drift: float = parameter(0.008, "rad/m", "the heading's drift per path length", gt=0, le=1)
-    least_turn: float = parameter(0.06, "rad", "added to it", gt=0)
-    most_turn: float = parameter(0.5, "rad", "the widest window", gt=0, le=math.pi)
-    attempts: int = parameter(2, "1", "candidates that are tried at each node", ge=0)
+    min_window: float = parameter(
+        0.4, "m", "window without drift: the convergence radius of one alignment", gt=0
+    )
+    max_window: float = parameter(16.0, "m", "maximum window", gt=0)
+    turn_drift: float = parameter(
+        0.008, "rad/m", "drift of the heading per path length", gt=0, le=1
+    )
+    min_turn_window: float = parameter(0.06, "rad", "heading window without drift", gt=0)
+    max_turn_window: float = parameter(0.5, "rad", "maximum heading window", gt=0, le=math.pi)
+    candidates: int = parameter(
+        2, "1", "number of candidates tried at each node; 0: no loop closures", ge=0
+    )
     overlap: float = parameter(
         MIN_MATCHED,
         "1",
-        "share of the points around a node that match earlier ones; the smaller it is, the more closures "
-        "have to agree",
+        "minimum share of the points around a node that match earlier ones; the smaller it is, the more "
+        "closures have to agree",
         ge=0.1,
         le=1,
     )
-    around: float = parameter(
+    query_distance: float = parameter(
         2.0, "m", "distance driven before and after a node that a query covers", gt=0
     )
 
@@ -145,16 +151,18 @@ class LoopCloser:
         What is driven after the node belongs to the query, so the newest node waits for the next one.
         """
         paths = graph.path_lengths(node)
-        windows = np.minimum(self._search.least + self._search.drift * paths, self._search.most)
+        windows = np.minimum(
+            self._search.min_window + self._search.drift * paths, self._search.max_window
+        )
         offsets = np.hypot(*(graph.poses[:, :2] - graph.poses[node, :2]).T)
-        possible = (paths > self._search.way_back) & (offsets < windows + 2.0) & np.isfinite(paths)
+        possible = (paths > self._search.min_path) & (offsets < windows + 2.0) & np.isfinite(paths)
         possible[node:] = False
         possible &= ~graph.is_folded
         if not possible.any() or (query := self._query(node, keys)) is None:
             return False
         rank = np.where(possible, offsets / (windows + 2.0) + 1e-4 * paths, np.inf)
         driven = keys.distance[keys.nodes]
-        for attempt in range(self._search.attempts):
+        for attempt in range(self._search.candidates):
             u = int(np.argmin(rank))
             if rank[u] == np.inf:
                 return False
@@ -218,7 +226,9 @@ class LoopCloser:
     def _query(self, node: int, keys: KeyframeLog) -> Submap | None:
         """Return the scans around a node as a submap."""
         row = keys.nodes[node]
-        near = np.flatnonzero(np.abs(keys.distance - keys.distance[row]) <= self._search.around)
+        near = np.flatnonzero(
+            np.abs(keys.distance - keys.distance[row]) <= self._search.query_distance
+        )
         return _submap(near, keys.chain[near], keys.chain[row], keys, (QUERY_CELL, QUERY_RANGE))
 
     def _reference(self, u: int, node: int, keys: KeyframeLog, graph: PoseGraph) -> Submap | None:
@@ -238,12 +248,14 @@ class LoopCloser:
     def window(self, distance: float) -> Window:
         """Return the window of the possible drift over a distance in m."""
         s = self._search
-        radius = min(s.least + s.drift * distance, s.most)
-        return Window(radius, radius, min(s.least_turn + s.turn_drift * distance, s.most_turn))
+        radius = min(s.min_window + s.drift * distance, s.max_window)
+        return Window(
+            radius, radius, min(s.min_turn_window + s.turn_drift * distance, s.max_turn_window)
+        )
 
     def length(self, radius: float) -> float:
         """Return the distance in m over which the possible drift is `radius` m."""
-        return max(radius - self._search.least, 0.0) / self._search.drift
+        return max(radius - self._search.min_window, 0.0) / self._search.drift
 
     def _accept(self, new: PendingClosure, graph: PoseGraph, window: float) -> bool:
         """Add a closure and those that agree with it to the graph, or keep it pending."""

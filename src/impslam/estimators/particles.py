@@ -72,7 +72,7 @@ class Particles(Estimator):
         ge=1,
         le=2,
     )
-    effective: float = parameter(
+    resample_below: float = parameter(
         0.5, "1", "share of effective particles below which they are resampled", gt=0, le=1
     )
     seed: int = parameter(0, "1", "seed of the sampling", ge=0)
@@ -253,7 +253,7 @@ class Particles(Estimator):
 
     def _resample(self, weights: Array, gone: set[int]) -> None:
         """Resample if few particles are effective; remove gone landmarks, and those of no particle."""
-        if 1.0 / (weights @ weights) < self.effective * self.particles:
+        if 1.0 / (weights @ weights) < self.resample_below * self.particles:
             parents = systematic(weights, self._rng.random())
             self._poses, self._log_weights = self._poses[parents], np.zeros(self.particles)
             for table in self._tables.values():

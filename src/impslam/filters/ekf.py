@@ -142,7 +142,7 @@ class Ekf(GaussianFilter):
 
         The linearisations only need P of the pose and the matched landmarks. After convergence, the gain is
         applied to the whole state. The returned innovation is that of the first linearisation; if R is
-        inflated (`tails`, `repeats`), it is None, because it would be for another noise.
+        inflated (`dof`, `repeats`), it is None, because it would be for another noise.
         """
         if not matches:
             return None

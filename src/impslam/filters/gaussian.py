@@ -36,14 +36,18 @@ INDEFINITE = (
 class GaussianFilter(Filter):
     """A filter whose belief is one Gaussian."""
 
-    tails: float = parameter(
+    dof: float = parameter(
         0.0,
         "1",
-        "degrees of freedom of the measurement noise (4: heavy tails, outliers fade); 0: Gaussian",
+        "degrees of freedom of the measurement noise (Student's t; 4: outliers have little weight); 0: "
+        "Gaussian",
         ge=0,
     )
     repeats: float = parameter(
-        1.0, "1", "observations of a landmark with a common error, by which R is multiplied", ge=1
+        1.0,
+        "1",
+        "number of observations of a landmark with one common error; R is multiplied by it",
+        ge=1,
     )
     _belief: Belief = PrivateAttr()
     _atlas: Atlas = PrivateAttr()
@@ -62,7 +66,7 @@ class GaussianFilter(Filter):
     def log_densities(
         self, observations: Sequence[Observation], matches: Sequence[Match], *, alone: bool = False
     ) -> Array:
-        """Return densities of Student's t with `tails`, else of the Gaussian, with `repeats` times R."""
+        """Return densities of Student's t with `dof`, else of the Gaussian, with `repeats` times R."""
         factor = 0.0 if alone else self.repeats - 1.0
         noises = (factor * observations[match.observation].R for match in matches)
         return np.array([self._log_density(*pair) for pair in zip(matches, noises, strict=True)])
@@ -70,9 +74,9 @@ class GaussianFilter(Filter):
     def _log_density(self, match: Match, noise: Array) -> float:
         S, k = match.S + noise, len(match.S)
         distance2 = float(match.innovation @ np.linalg.solve(S, match.innovation))
-        if not self.tails:
+        if not self.dof:
             return log_normal(distance2, S)
-        degrees, power = self.tails, 0.5 * (self.tails + k)
+        degrees, power = self.dof, 0.5 * (self.dof + k)
         scale = math.lgamma(power) - math.lgamma(0.5 * degrees)
         scale -= 0.5 * float(np.linalg.slogdet(degrees * math.pi * S)[1])
         return scale - power * math.log1p(distance2 / degrees)
@@ -118,10 +122,10 @@ class GaussianFilter(Filter):
         from large innovations of an uncertain state. With these R the correction is Gaussian. Factors are
         at least 1, because a small innovation by chance does not make a sensor more accurate.
         """
-        if not self.tails and self.repeats == 1.0:
+        if not self.dof and self.repeats == 1.0:
             return None
-        if not self.tails:
+        if not self.dof:
             return np.full(len(matches), self.repeats)
         distance2, k = np.array([(match.distance2, len(match.innovation)) for match in matches]).T
-        factors: Array = np.maximum(1.0, (self.tails + distance2) / (self.tails + k))
+        factors: Array = np.maximum(1.0, (self.dof + distance2) / (self.dof + k))
         return self.repeats * factors

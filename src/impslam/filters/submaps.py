@@ -57,8 +57,8 @@ class SubmapEkf(Ekf):
     margin: float = parameter(
         2.0,
         "m",
-        "landmarks so near to the area in view are compared with observations: more than the width of a "
-        "gate, and than the drift of odometry before a loop closure",
+        "landmarks within this distance of the area in view are compared with observations: more than the "
+        "width of a gate, and than the drift before a loop closure",
         gt=0,
     )
     _archive: Archive = PrivateAttr()

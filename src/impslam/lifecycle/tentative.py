@@ -185,7 +185,7 @@ class Tentative(Lifecycle):
     persistence: float = parameter(
         0.4, "s", "time from the first to the last of them; a walker's foot rests for 0.3 s", ge=0
     )
-    patience: float = parameter(
+    timeout: float = parameter(
         1.0, "s", "a tentative landmark that is not seen for this long is dropped", gt=0
     )
     margin: float = parameter(
@@ -194,7 +194,7 @@ class Tentative(Lifecycle):
     width: float = parameter(
         0.1, "m", "all beams that pass a point within this distance must pass through", gt=0
     )
-    confidence: float = parameter(
+    max_score: float = parameter(
         15.0, "scans", "upper limit of a landmark's score: this many misses remove it", gt=0
     )
     _candidates: Filter = PrivateAttr()
@@ -248,7 +248,7 @@ class Tentative(Lifecycle):
             if count + 1 >= self.sightings and stamp - first >= self.persistence:
                 promoted.append(match.observation)
                 leaving.append(match.landmark)
-        leaving += [i for i, (_, _, last) in self._seen.items() if stamp - last > self.patience]
+        leaving += [i for i, (_, _, last) in self._seen.items() if stamp - last > self.timeout]
         self._remove(leaving)
         if self.sightings == 1 and self.persistence == 0.0:
             return [*promoted, *choice.new]
@@ -262,7 +262,7 @@ class Tentative(Lifecycle):
         """Return the ids of landmarks that failed their trial or were seen through too often."""
         matched = {match.landmark for match in matches}
         for number in matched:
-            self._scores[number] = min(self._score(number) + 1.0, self.confidence)
+            self._scores[number] = min(self._score(number) + 1.0, self.max_score)
         failed = self._update_trials(ids, matched)
         seen_through = self._seen_through(scan, pose, ids, outlines, matched)
         lost = failed + [number for number in seen_through if number not in failed]
@@ -283,7 +283,7 @@ class Tentative(Lifecycle):
             self._trials[number] = (count + 1, first, self._now)
             if count + 1 >= self.sightings and self._now - first >= self.persistence:
                 del self._trials[number]
-        return [i for i, (_, _, last) in self._trials.items() if self._now - last > self.patience]
+        return [i for i, (_, _, last) in self._trials.items() if self._now - last > self.timeout]
 
     def _seen_through(
         self, scan: Scan, pose: Array, ids: Ints, outlines: Array, matched: set[int]

@@ -25,7 +25,7 @@ class Lidar2D(Sensor):
     consumes: ClassVar[type[Message]] = LaserScan
 
     mount: tuple[float, float, float] = parameter(
-        (0.0, 0.0, 0.0), "m, m, rad", "pose [x, y, yaw] of the laser on base_link"
+        (0.0, 0.0, 0.0), "m, m, rad", "pose [x, y, yaw] of the laser in base_link"
     )
     upside_down: bool = parameter(False, "", "the laser is mounted with its z axis pointing down")
     range_min: float = parameter(
@@ -35,9 +35,13 @@ class Lidar2D(Sensor):
         math.nan, "m", "longer ranges are invalid; nan: the limit in the messages"
     )
     angle_min: float = parameter(
-        -math.pi, "rad", "beams to the right of this (laser frame) are invalid: the robot's body"
+        -math.pi,
+        "rad",
+        "beams to the right of this (laser frame) are invalid, e.g. the robot's body",
     )
-    angle_max: float = parameter(math.pi, "rad", "beams to the left of this are invalid")
+    angle_max: float = parameter(
+        math.pi, "rad", "beams to the left of this (laser frame) are invalid"
+    )
     sigma: float = parameter(
         0.01, "m", "standard deviation of the range noise at range 0", gt=0, le=100, noise=True
     )
@@ -56,11 +60,11 @@ class Lidar2D(Sensor):
     period: float = parameter(
         0.0,
         "s",
-        "time of a revolution, to smooth stamps that jitter; 0: use the stamps as they are",
+        "scan period, to smooth stamps that jitter; 0: use the stamps as they are",
         ge=0,
         le=60,
     )
-    deskew: bool = parameter(True, "", "undo the robot's motion during the sweep")
+    deskew: bool = parameter(True, "", "compensate the robot's motion during the sweep")
     last_beam_first: bool = parameter(
         False,
         "",

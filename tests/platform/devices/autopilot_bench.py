@@ -58,7 +58,7 @@ class Bench:
         self.spoil_commands = lambda data: data
         self.plugged, self.blocked, self.closed = True, False, 0
         self.readings, self._under_way = [], []
-        self.driver = Autopilot(port="bench", label="imp", least_delay=0.0, **settings)
+        self.driver = Autopilot(port="bench", label="imp", min_delay=0.0, **settings)
         self.driver._stopping = BenchEvent(self)
         self.driver._receiver = self._receive
         for module in (base, autopilot, autopilot_link):

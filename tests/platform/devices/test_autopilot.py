@@ -99,11 +99,11 @@ def test_stamps_increase_and_match_the_sampling_times(bench):
     )
 
 
-def test_the_least_delay_is_subtracted_from_stamps(monkeypatch):
+def test_the_min_delay_is_subtracted_from_stamps(monkeypatch):
     stamps = []
-    for least_delay in (0.0, 0.25):
+    for min_delay in (0.0, 0.25):
         bench = Bench(monkeypatch)
-        bench.driver = bench.driver.model_copy(update={"least_delay": least_delay})
+        bench.driver = bench.driver.model_copy(update={"min_delay": min_delay})
         bench.driver.model_post_init(None)
         bench.driver._receiver = bench._receive
         bench.run(1.0)
@@ -493,7 +493,7 @@ def test_it_is_registered():
 def test_an_earlier_stop_is_reported_until_it_is_released(bench):
     bench.driver.emergency_stop()
     bench.run(1.0)
-    driver = Autopilot(port="bench", label="imp", least_delay=0.0)
+    driver = Autopilot(port="bench", label="imp", min_delay=0.0)
     driver._stopping, driver._receiver = bench.driver._stopping, bench.driver._receiver
     bench.driver = driver  # another program; the micro-controller was on all the time
     bench.run(1.0)

@@ -47,7 +47,7 @@ def until(condition: Callable[[], bool], seconds: float = 5.0) -> None:
 
 @pytest.fixture
 def toy():
-    device = Toy(retry=0.01, patience=0.2)
+    device = Toy(retry=0.01, timeout=0.2)
     yield device
     device.stop()
 

@@ -279,7 +279,7 @@ def test_scans_come_with_the_right_beams_and_stamps(line, mode):
 
 
 def test_a_reboot_and_a_cut_line_are_survived(line):
-    lidar, inbox = device(line, patience=0.5), Inbox()
+    lidar, inbox = device(line, timeout=0.5), Inbox()
     lidar.start(inbox)
     inbox.wait(LaserScan, 2)
     line.emulator.reboot(now() - line.begin)

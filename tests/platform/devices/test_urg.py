@@ -336,7 +336,7 @@ def test_a_sensor_that_reboots_is_started_again(monkeypatch):
     stamps = np.array([scan.stamp for scan in scans])
     assert (np.diff(stamps) > 0.09).all()
     assert np.abs(stamps - true_begins(bench, room)).max() < 2e-3
-    assert np.diff(stamps).max() < 4.0  # the patience, the boot, and the start from SCIP 1.1
+    assert np.diff(stamps).max() < 4.0  # the timeout, the boot, and the start from SCIP 1.1
 
 
 def test_a_motor_faster_than_nominal(monkeypatch):
@@ -384,7 +384,7 @@ def test_delayed_scans_have_the_stamps_of_their_measurement(monkeypatch):
         (lambda emulator, _: emulator.fail(53), 0.35),
         # A second of verifying, and the sweep that it began in.
         (lambda emulator, _: emulator.fail(21), 1.25),
-        # Silence for the patience, then the start; it has booted meanwhile.
+        # Silence for the timeout, then the start; it has booted meanwhile.
         (lambda emulator, time: emulator.reboot(time), 1.3),
         # Another program stops it.
         (lambda emulator, time: emulator.receive(b"QT\n", time), 1.3),

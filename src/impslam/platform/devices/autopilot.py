@@ -75,24 +75,24 @@ class Autopilot(DriveDevice):
     baud: int = parameter(
         460800, "bit/s", "speed of the line; 16 % of it is used, see the protocol", gt=0
     )
-    track: float = parameter(0.40, "m", "distance of the driven wheels of both sides", gt=0)
+    track: float = parameter(0.40, "m", "distance between the left and right driven wheels", gt=0)
     skid: float = parameter(
         1.5625,
         "1",
-        "how much faster than rolling the sides must differ to turn, as the driven wheels slide "
-        "across: 1 + (wheelbase / track)^2 by Coulomb friction, for 0.30 m and 0.40 m",
+        "ratio of the speed difference of both sides to that of rolling wheels in a turn, as the driven "
+        "wheels skid: 1 + (wheelbase / track)^2 by Coulomb friction, for 0.30 m and 0.40 m",
         ge=1,
     )
     top_speed: float = parameter(
         1.0,
         "m/s",
-        "limit of a wheel command: 150 rpm of a 5 inch wheel; a turn is kept",
+        "limit of a wheel command: 150 rpm of a 5 inch wheel; the curvature is kept",
         gt=0,
         le=10,
     )
-    counts_per_turn: int = parameter(4096, "1", "of the accumulators, in one turn of a wheel", gt=0)
-    least_delay: float = parameter(
-        0.0015, "s", "from sampling to arrival at best: 69 bytes at 460800 baud", ge=0
+    counts_per_turn: int = parameter(4096, "1", "accumulator counts per wheel turn", gt=0)
+    min_delay: float = parameter(
+        0.0015, "s", "minimum delay from sampling to arrival: 69 bytes at 460800 baud", ge=0
     )
 
     _link: CommandLink = PrivateAttr()
@@ -175,8 +175,8 @@ class Autopilot(DriveDevice):
     def _check_silence(self, moment: float) -> None:
         state = self._state
         silence = moment - max(state.received_at, state.opened_at)
-        timeout = max(REOPEN_TIMEOUT, self.patience)
-        if silence > self.patience and not state.silent:
+        timeout = max(REOPEN_TIMEOUT, self.timeout)
+        if silence > self.timeout and not state.silent:
             state.silent = True
             self._count("silences", 1)
         if silence > timeout:  # with the same text each time, so that it is notified once
@@ -257,7 +257,7 @@ class Autopilot(DriveDevice):
         """Return the host time of a reading, and count jumps and stalls of the clocks."""
         clock = self._state.clock
         restarts, stalls = clock.restarts, clock.stalls
-        clock.observe(device, arrived - self.least_delay)
+        clock.observe(device, arrived - self.min_delay)
         if clock.restarts > restarts:
             self._count("clock jumps", 1)
             self._notify("warning", "a clock jumped, the micro-controller's or this computer's")

@@ -73,7 +73,7 @@ class DeviceHealth:
 
     Attributes
     ----------
-    state : "ok"; "silent" (open, but without a message for `patience`); "lost" (cannot be opened, is
+    state : "ok"; "silent" (open, but without a message for `timeout`); "lost" (cannot be opened, is
         retried); "opening"; "stopped"
     detail : model and firmware while ok, otherwise the error and what to do
     rates : messages per second by type, over the last `RATE_WINDOW`
@@ -105,8 +105,8 @@ class Device(Component):
 
     role: ClassVar[str] = "device"
 
-    label: str = parameter("", "1", "name in messages, logs and on the page; empty: the kind's")
-    patience: float = parameter(
+    label: str = parameter("", "1", "name in messages, logs and on the page; empty: the kind")
+    timeout: float = parameter(
         1.0,
         "s",
         "a device without messages for this long is silent: ten frames of the slowest",
@@ -159,7 +159,7 @@ class Device(Component):
         vitals, moment = self._vitals, now()
         with vitals.lock:
             state, last = vitals.state, vitals.last
-            if state == "ok" and not moment - last < self.patience:
+            if state == "ok" and not moment - last < self.timeout:
                 state = "silent"
             rates = {
                 kind: sum(stamp > moment - RATE_WINDOW for stamp in stamps) / RATE_WINDOW

@@ -29,10 +29,14 @@ class Camera(Device):
     source: str = parameter(
         "/dev/video0", "1", 'a V4L2 device, the number of a camera ("0"), or the URL of a stream'
     )
-    rate: float = parameter(5.0, "Hz", "pictures kept, as in the thesis (3.4)", gt=0, le=60)
-    width: int = parameter(640, "px", "requested; a camera uses the nearest that it supports", gt=0)
+    rate: float = parameter(5.0, "Hz", "pictures recorded, as in the thesis (3.4)", gt=0, le=60)
+    width: int = parameter(
+        640, "px", "requested; the camera uses the nearest that it supports", gt=0
+    )
     height: int = parameter(480, "px", "requested; ignored by network cameras", gt=0)
-    quality: int = parameter(80, "1", "of the JPEG: 40 kB a picture, 0.7 GB an hour", ge=1, le=100)
+    quality: int = parameter(
+        80, "1", "JPEG quality; 80: 40 kB a picture, 0.7 GB an hour", ge=1, le=100
+    )
 
     def _serve(self) -> None:
         capture = self._open()

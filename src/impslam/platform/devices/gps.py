@@ -27,7 +27,7 @@ class NmeaReceiver(Device):
     latency: float = parameter(
         0.1, "s", "from the moment of a fix until its first sentence begins, at least", ge=0
     )
-    patience: float = parameter(
+    timeout: float = parameter(
         3.0, "s", "a receiver without messages for this long is silent", gt=0
     )
 

@@ -99,9 +99,9 @@ class RPLidar(Device):
     mode: Literal["express", "standard"] = parameter(
         "express", "1", "express: twice the beams and a checksum; standard: firmware before 1.17"
     )
-    pwm: int = parameter(660, "1", "duty of the motor of A2 and A3, of 1023; 660: 10 Hz", ge=0)
+    pwm: int = parameter(660, "1", "motor duty of A2 and A3, of 1023; 660: 10 Hz", ge=0)
     latency: float = parameter(
-        0.0, "s", "from a measurement until it is sent, besides its time on the line", ge=0
+        0.0, "s", "delay from measuring to sending, without transmission", ge=0
     )
     range_max: float = parameter(
         0.0, "m", "longer ranges are invalid; 0: by the model's data sheet", ge=0
@@ -176,7 +176,7 @@ class RPLidar(Device):
             clock.observe(link.parser.received, arrived - on_line - self.latency)
             for nodes in parts:
                 if isinstance(nodes, Nodes):
-                    until = arrived + self.patience
+                    until = arrived + self.timeout
                     for turn in turns.add(nodes):
                         self._deliver_turn(turn, clock, model, arrived)
             counted = self._update_counts(link.parser, turns, counted)

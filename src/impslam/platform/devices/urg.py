@@ -46,17 +46,15 @@ MAX_IMPLAUSIBLE = 3  # consecutive scans with implausible stamps: its clock has 
 class Urg(Device):
     """Hokuyo URG-04LX, or another 2D lidar that speaks SCIP 2.0."""
 
-    port: str = parameter(
-        "/dev/ttyACM0", "", "where it is: a serial port, or socket://HOST:PORT for TCP"
-    )
+    port: str = parameter("/dev/ttyACM0", "", "serial port, or socket://HOST:PORT for TCP")
     baud: int = parameter(115200, "bit/s", "rate that an RS-232 line is set to; USB has none", gt=0)
     mode: Mode = parameter(
         "MD",
         "",
-        "MD: all scans are sent; MS: in two characters, to 4.094 m; GD, GS: on request",
+        "MD: continuous; MS: continuous, two characters per range, up to 4.094 m; GD, GS: on request",
     )
-    first_step: int = parameter(-1, "1", "first step; -1: the first that measures", ge=-1)
-    last_step: int = parameter(-1, "1", "last step; -1: the last that measures", ge=-1)
+    first_step: int = parameter(-1, "1", "first step; -1: the first one of the sensor", ge=-1)
+    last_step: int = parameter(-1, "1", "last step; -1: the last one of the sensor", ge=-1)
     cluster: int = parameter(1, "1", "neighbouring steps merged into one beam", ge=1, le=99)
     skip: int = parameter(0, "1", "scans left out between two", ge=0, le=9)
 
@@ -191,7 +189,7 @@ class Urg(Device):
     @property
     def _scan_timeout(self) -> float:
         """Time without a scan after which measuring has failed, s."""
-        return max(self.patience, 5.0 * self._period)
+        return max(self.timeout, 5.0 * self._period)
 
     def _process_scan(self, received: ReceivedResponse) -> None:
         """Deliver a scan, unless it is damaged or its stamp is implausible."""

@@ -54,7 +54,7 @@ class Matched(Run):
         """Store the motion to the keyframe, and its observations of landmarks: keyframe, id, z, R."""
         super().revise(keyframe, revision, path)
         pairs = [(m.observation, m.landmark) for m in revision.matches]
-        pairs += zip(revision.origins, revision.born, strict=True)
+        pairs += zip(revision.origins, revision.added, strict=True)
         seen = keyframe.observations
         self.sightings += [(len(self.stamps), n, seen[i].z, seen[i].R) for i, n in pairs]
         self.stamps.append(keyframe.motion.stamp)

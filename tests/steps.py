@@ -18,8 +18,8 @@ class Step:
     odometry: np.ndarray
     observations: tuple = ()
     matches: tuple = ()
-    born: tuple = ()
-    gone: tuple = ()
+    added: tuple = ()
+    removed: tuple = ()
     keyframe: bool = False
 
 
@@ -37,7 +37,7 @@ class Steps(Observer):
 
     def revise(self, keyframe, revision, path):
         (row,) = zip(*path, strict=True)
-        facts = keyframe.observations, revision.matches, revision.born, revision.gone
+        facts = keyframe.observations, revision.matches, revision.added, revision.removed
         self.results.append(Step(float(row[0]), *row[1:], *facts, keyframe=True))
 
     def truth(self, pose):

@@ -151,13 +151,13 @@ class Revision:
     covariances : (r, 3, 3)
     matches : observations that were matched to known landmarks
     ambiguous : observations (indices) left unmatched because their landmark is not certain
-    born, origins : ids of new landmarks, and the observation from which each was created
-    gone : ids of removed landmarks
+    added, origins : ids of new landmarks, and the observation from which each was created
+    removed : ids of removed landmarks
     refused : why the keyframe could not be used, "" if it was used
     placed : (r,) or one for all, whether they are located in the map
     assumed : whether the newest pose is based on odometry alone since the robot got lost
     contradicted : whether what was seen earlier contradicts the newest scans at their poses
-    looks_alike : whether the newest scans also fit other places within the uncertainty
+    fits_elsewhere : whether the newest scans also fit other places within the uncertainty
     dropped : keyframes whose scans are removed because they add nothing to those of others
     innovation : of all matches jointly, None if unknown
     """
@@ -167,14 +167,14 @@ class Revision:
     covariances: Array
     matches: tuple[Match, ...] = ()
     ambiguous: tuple[int, ...] = ()
-    born: tuple[int, ...] = ()
+    added: tuple[int, ...] = ()
     origins: tuple[int, ...] = ()
-    gone: tuple[int, ...] = ()
+    removed: tuple[int, ...] = ()
     refused: str = ""
     placed: Mask | bool = True
     assumed: bool = False
     contradicted: bool = False
-    looks_alike: bool = False
+    fits_elsewhere: bool = False
     dropped: tuple[int, ...] = ()
     innovation: Innovation | None = None
 

@@ -179,7 +179,7 @@ def test_localise_locates_each_scan(imp, room, lived_in, tmp_path) -> None:
     for row in found:
         true = min(path.items(), key=lambda item: abs(item[0] - float(row["stamp"])))[1]
         assert np.hypot(float(row["x"]) - true[0], float(row["y"]) - true[1]) < 0.05
-        assert 0.98 <= float(row["odds"]) <= 1.0
+        assert 0.98 <= float(row["probability"]) <= 1.0
     facts = json.loads((folder / "summary.json").read_text())
     assert facts["found"] == len(found)
     assert f"{len(found)} of {len(rows)} scans" in said.out

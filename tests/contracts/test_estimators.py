@@ -61,7 +61,7 @@ def newest(revision, k):
 
 def told(revision):
     arrays = [revision.ids, revision.poses, revision.covariances]
-    return [a.tobytes() for a in arrays] + [revision.born, revision.origins, revision.gone]
+    return [a.tobytes() for a in arrays] + [revision.added, revision.origins, revision.removed]
 
 
 def test_a_drive_without_noise_is_exact(make):
@@ -129,14 +129,14 @@ def test_landmarks_are_those_that_were_born_and_are_not_gone(make):
     for k, (pose, motion) in enumerate(drive(30, rng)):
         seen = observe(pose, rng)[: 2 + k // 3]
         revision = made.add(keyframe(k, motion, seen))
-        assert known.isdisjoint(revision.born)
-        assert len(revision.origins) == len(revision.born)
+        assert known.isdisjoint(revision.added)
+        assert len(revision.origins) == len(revision.added)
         assert all(0 <= origin < len(seen) for origin in revision.origins)
-        assert set(revision.gone) <= known | set(revision.born)
+        assert set(revision.removed) <= known | set(revision.added)
         assert {m.landmark for m in revision.matches} <= known
-        known = (known | set(revision.born)) - set(revision.gone)
+        known = (known | set(revision.added)) - set(revision.removed)
         assert {mark.id for mark in made.landmarks()} == known
-        assert made.state_size >= size or revision.gone
+        assert made.state_size >= size or revision.removed
         size = made.state_size
     assert len(known) == 9
 
@@ -164,7 +164,7 @@ def test_a_keyframe_that_cannot_be_used_moves_the_robot_and_nothing_else(make, s
     by_motion = twin.add(keyframe(12, motion))
     assert "\n" not in revision.refused
     assert "13.000 s" in revision.refused
-    assert revision.matches == revision.born == revision.gone == ()
+    assert revision.matches == revision.added == revision.removed == ()
     np.testing.assert_array_equal(revision.poses, by_motion.poses)
     np.testing.assert_array_equal(revision.covariances, by_motion.covariances)
     for k, (pose, motion) in enumerate(drive(5), 13):

@@ -108,7 +108,7 @@ def test_a_duplicate_is_fused_after_enough_scans_of_one_object(rng):
     add(slam, 0, (POST, OTHER), rng)
     slam._filter.extend([point(ORIGIN, POST, rng=rng)], 0.0)
     told = [add(slam, k, (POST, OTHER), rng) for k in range(1, 7)]
-    assert [r.gone for r in told] == [(), (), (), (2,), (), ()]
+    assert [r.removed for r in told] == [(), (), (), (2,), (), ()]
     assert [m.id for m in slam.landmarks()] == [0, 1]
     assert {m.landmark for m in told[-1].matches} == {0, 1}
     assert slam.counts() == {"landmarks fused": 1}
@@ -120,7 +120,7 @@ def test_an_unknown_difference_keeps_both(rng, monkeypatch):
     slam._filter.extend([point(ORIGIN, POST, rng=rng)], 0.0)
     monkeypatch.setattr(Ekf, "difference", lambda *_: (np.zeros(2), np.zeros((2, 2))))
     told = [add(slam, k, (POST, OTHER), rng) for k in range(1, 7)]
-    assert all(r.gone == () and not r.refused for r in told)
+    assert all(r.removed == () and not r.refused for r in told)
     assert len(slam.landmarks()) == 3
 
 
@@ -133,5 +133,5 @@ def test_distinct_neighbours_are_not_fused(hidden):
         add(slam, 0, places, rng)
         for k in range(1, 30):
             some = places if not hidden or k % 3 == 0 else [places[k % 2], OTHER]
-            assert add(slam, k, some, rng).gone == ()
+            assert add(slam, k, some, rng).removed == ()
         assert {0, 1, 2} <= {m.id for m in slam.landmarks()}

@@ -94,7 +94,7 @@ def still(k):
 
 def test_landmarks_seen_through_are_removed_even_without_matches(belief):
     slam, scan = open_room(belief)
-    gone = [slam.add(keyframe(still(k), (), scan)).gone for k in range(1, 30)]
+    gone = [slam.add(keyframe(still(k), (), scan)).removed for k in range(1, 30)]
     assert [r for r in gone if r] == [(0,)]
     assert slam.landmarks() == ()
 
@@ -106,7 +106,7 @@ def test_a_revision_names_the_first_observations_of_new_landmarks(belief):
     slam.add(keyframe(increment, seen[2:4]))
     result = slam.add(keyframe(still(9), seen))
     assert [seen[i].label for i in result.origins] == [0, 1, 4, 100, 101, 102, 103]
-    assert len(result.born) == len(result.origins)
+    assert len(result.added) == len(result.origins)
 
 
 @pytest.mark.parametrize("value", [-1.0, np.nan])

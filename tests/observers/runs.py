@@ -45,7 +45,7 @@ class Result:
     odometry: np.ndarray
     scan: Scan | None
     matches: tuple = ()
-    born: tuple = ()
+    added: tuple = ()
 
 
 def make_results(n=50, seed=1):
@@ -102,7 +102,7 @@ class Scripted:
         )  # fmt: skip
         revision = Revision(
             np.array([self._count]), result.pose[None], result.covariance[None], result.matches,
-            result.born,
+            result.added,
         )  # fmt: skip
         path = self.builder.revise(keyframe, revision)
         self._count += 1

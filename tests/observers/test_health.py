@@ -216,10 +216,10 @@ def test_a_robot_where_the_map_contradicts_the_scans_is_degraded():
     assert monitor.health.states.tolist() == [TRACKING, DEGRADED, DEGRADED, TRACKING]
 
 
-def test_a_place_that_looks_like_others_is_degraded():
+def test_scans_that_fit_elsewhere_are_degraded():
     monitor = HealthMonitor()
-    for looks_alike in (False, True, True, False):
-        revise(monitor, [4], looks_alike=looks_alike)
+    for fits_elsewhere in (False, True, True, False):
+        revise(monitor, [4], fits_elsewhere=fits_elsewhere)
     assert monitor.health.reasons.tolist() == [NONE, AMBIGUOUS, AMBIGUOUS, NONE]
     assert monitor.health.states.tolist() == [TRACKING, DEGRADED, DEGRADED, TRACKING]
 

@@ -17,7 +17,7 @@ def keyframes(
     watch,
     matched,
     seen=5,
-    born=(),
+    added=(),
     ratio=1.0,
     count=1,
     lost=False,
@@ -44,7 +44,7 @@ def keyframes(
             observations=observations, lost=lost, reason=reason, motion=STILL
         )
         revision = SimpleNamespace(
-            matches=matches, born=born, ambiguous=ambiguous, ids=[0], poses=np.zeros((1, 3)),
+            matches=matches, added=added, ambiguous=ambiguous, ids=[0], poses=np.zeros((1, 3)),
             covariances=np.zeros((1, 3, 3)),
         )  # fmt: skip
         out.append(watch.revise(keyframe, revision)[0])
@@ -54,14 +54,14 @@ def keyframes(
 @pytest.fixture
 def watch():
     known = LandmarkWatch()
-    keyframes(known, (), born=range(5))
+    keyframes(known, (), added=range(5))
     assert keyframes(known, range(5), count=40) == [NONE] * 40
     return known
 
 
 def test_a_robot_is_displaced_when_landmarks_vanish_until_they_are_seen_again(watch):
     assert keyframes(watch, (), count=2) == [NONE, DISPLACED]
-    keyframes(watch, (), born=range(5, 10))
+    keyframes(watch, (), added=range(5, 10))
     assert keyframes(watch, range(5, 10), count=50) == [DISPLACED] * 50  # the same things once more
     assert keyframes(watch, [0, 1, 5, 6, 7], count=50) == [DISPLACED] * 50
     assert keyframes(watch, range(5), count=4) == [DISPLACED, DISPLACED, NONE, NONE]
@@ -79,7 +79,7 @@ def test_ambiguous_matches_with_earlier_landmarks_are_no_displacement(watch):
 def test_new_ground_is_no_displacement(watch):
     for k in range(10):
         assert keyframes(watch, range(k, 5 + k), seen=8, count=5) == [NONE] * 5
-        keyframes(watch, range(k, 5 + k), seen=8, born=[5 + k])
+        keyframes(watch, range(k, 5 + k), seen=8, added=[5 + k])
 
 
 def test_a_lost_tracker_is_displaced(watch):
@@ -90,7 +90,7 @@ def test_a_lost_tracker_is_displaced(watch):
 def test_a_carried_robot_is_displaced_until_it_sees_nothing_but_earlier_landmarks(watch):
     """Elsewhere, some landmarks fit by chance; those that do not fit are initialised."""
     assert keyframes(watch, range(3), reason=CARRIED) == [DISPLACED]
-    keyframes(watch, range(4), born=[5])
+    keyframes(watch, range(4), added=[5])
     assert keyframes(watch, [0, 1, 2, 3, 5], count=50) == [DISPLACED] * 50
     assert keyframes(watch, range(5), count=3) == [DISPLACED, DISPLACED, NONE]
 
@@ -103,12 +103,12 @@ def test_a_robot_that_sees_the_usual_landmarks_was_not_carried(watch):
 
 def test_a_map_that_has_just_begun_does_not_show_that_the_robot_was_carried():
     new = LandmarkWatch()
-    keyframes(new, (), born=range(5))
+    keyframes(new, (), added=range(5))
     assert keyframes(new, (), reason=CARRIED) == [NONE]
 
 
 def test_landmarks_seen_just_before_a_jump_is_found_may_belong_to_the_new_place(watch):
-    keyframes(watch, range(5), born=range(5, 10), count=3)
+    keyframes(watch, range(5), added=range(5, 10), count=3)
     assert keyframes(watch, range(5, 10), reason=CARRIED) == [DISPLACED]
     assert keyframes(watch, range(5, 10), count=50) == [DISPLACED] * 50
     assert keyframes(watch, range(5), count=3)[-1] == NONE
@@ -117,14 +117,14 @@ def test_landmarks_seen_just_before_a_jump_is_found_may_belong_to_the_new_place(
 def test_only_large_innovations_are_inconsistent(watch):
     assert keyframes(watch, range(5), ratio=0.2, count=40) == [NONE] * 40
     assert keyframes(watch, range(5), ratio=1.1 * MAX_RATIO, count=100)[-1] == INCONSISTENT
-    assert keyframes(watch, range(5, 9), born=range(5, 9), count=100)[-1] == DISPLACED
+    assert keyframes(watch, range(5, 9), added=range(5, 9), count=100)[-1] == DISPLACED
     assert keyframes(watch, range(5), ratio=1.0, count=100)[-1] == NONE
 
 
 def test_one_keyframe_of_large_innovations_is_no_displacement(watch):
     """One in a hundred has them by chance, and earlier landmarks may not be seen again."""
     newer = range(5, 10)
-    assert keyframes(watch, newer, born=newer, ratio=8.0) == [INCONSISTENT]
+    assert keyframes(watch, newer, added=newer, ratio=8.0) == [INCONSISTENT]
     assert keyframes(watch, newer, ratio=0.3, count=10)[-1] == NONE
 
 

@@ -54,7 +54,12 @@ def test_a_scan_is_found_anywhere(office, truth):
     answer = office.find(view(seen(OFFICE, truth)))
     assert answer.verdict == Verdict.FOUND
     assert_at(answer.hypotheses[0].pose, truth)
-    assert 0.98 <= answer.hypotheses[0].odds <= sum(h.odds for h in answer.hypotheses) <= 1.0
+    assert (
+        0.98
+        <= answer.hypotheses[0].probability
+        <= sum(h.probability for h in answer.hypotheses)
+        <= 1.0
+    )
 
 
 def test_a_scan_among_chairs_is_found(office):
@@ -74,7 +79,7 @@ def test_a_scan_of_another_building_is_nowhere(office):
     other = np.concatenate([room(0.0, 9.0, 0.0, 5.5), walls([3, 0, 4, 3], [6, 5.5, 5, 4])])
     answer = office.find(view(seen(other, [2.0, 2.5, 0.3])))
     assert answer.verdict == Verdict.NOWHERE
-    assert sum(h.odds for h in answer.hypotheses) < 0.02
+    assert sum(h.probability for h in answer.hypotheses) < 0.02
 
 
 def test_similar_rooms_are_ambiguous_until_the_drive_distinguishes_them(twins):
@@ -87,9 +92,9 @@ def test_similar_rooms_are_ambiguous_until_the_drive_distinguishes_them(twins):
         before = pose
     first, last = answers[0], answers[-1]
     assert first.verdict == Verdict.AMBIGUOUS
-    odds = [h.odds for h in first.hypotheses[:2]]
-    assert sum(odds) > 0.98
-    assert min(odds) > 0.1
+    probabilities = [h.probability for h in first.hypotheses[:2]]
+    assert sum(probabilities) > 0.98
+    assert min(probabilities) > 0.1
     assert last.verdict == Verdict.FOUND
     assert_at(last.hypotheses[0].pose, drive[-1])
     wrong = [a for a, pose in zip(answers, drive, strict=True) if _silently_wrong(a, pose)]
@@ -189,7 +194,7 @@ def test_a_twin_that_is_mapped_in_part_is_not_excluded(unknown, verdict):
     part = Explanation(0.73, 0.84, 0.08 - unknown, 0.08, unknown)
     told = answer([(whole, places[0]), (part, places[1])], 200.0, complete=True, whole=True)
     assert told.verdict == verdict
-    assert told.hypotheses[0].odds >= told.hypotheses[1].odds
+    assert told.hypotheses[0].probability >= told.hypotheses[1].probability
 
 
 SEEN = Explanation(

@@ -13,7 +13,7 @@ COMMANDS = {
         "office.imp -o straight.imp",
     ),
     "diff": (
-        "Show the changes between two maps of a place: removed and new walls.",
+        "Show the changes between two maps of a place: walls that are gone, and new ones.",
         "monday.imp friday.imp -o changes.png",
     ),
     "merge": (

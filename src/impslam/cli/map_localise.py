@@ -77,13 +77,13 @@ def localise(  # noqa: PLR0913  # each is an option that a user may give
 
 def _table(found: list[Located]) -> str:
     """Return a CSV row for each scan; x to score describe the best hypothesis."""
-    rows = ["stamp,verdict,x,y,theta,odds,score,hypotheses"]
+    rows = ["stamp,verdict,x,y,theta,probability,score,hypotheses"]
     for place in found:
         answer, pose = place.answer, ",,"
         best = ","
         if place.pose is not None:
             pose = ",".join(f"{value:.6f}" for value in place.pose)
-            best = f"{answer.hypotheses[0].odds:.6f},{answer.hypotheses[0].score:.4f}"
+            best = f"{answer.hypotheses[0].probability:.6f},{answer.hypotheses[0].score:.4f}"
         verdict, count = answer.verdict.value, len(answer.hypotheses)
         rows.append(f"{place.stamp:.9f},{verdict},{pose},{best},{count}")
     return "\n".join(rows) + "\n"

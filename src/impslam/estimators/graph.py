@@ -26,10 +26,10 @@ from impslam.estimators.keyframe_log import (
 )
 from impslam.estimators.loop_closing import MIN_CONTRADICTIONS, LoopCloser, LoopSearch
 from impslam.estimators.map_scale import landmark_with_scale, with_scale
+from impslam.estimators.place_ambiguity import as_session_start, fits_elsewhere
 from impslam.estimators.pose_graph import PoseGraph
 from impslam.estimators.restoring import restored
 from impslam.estimators.sessions import SessionPlacer
-from impslam.estimators.similar_places import in_doubt, looks_like_others
 from impslam.estimators.thinning import Thinner
 from impslam.geometry.chain import advance
 from impslam.geometry.se2 import compose, compose_uncertain
@@ -103,7 +103,7 @@ class Graph(Estimator):
         """Process a keyframe; see `Estimator.add`."""
         self._settled = self._final = None
         if self._may_be_elsewhere(keyframe):
-            keyframe = in_doubt(keyframe)
+            keyframe = as_session_start(keyframe)
         used, refused = _usable(keyframe)
         self._extend_chain(used, keyframe.motion)
         moved = False
@@ -141,7 +141,7 @@ class Graph(Estimator):
         if self._graph.roots[-1] != 0:  # the map cannot tell
             return True
         before = compose(self._graph.poses[-1], self._since[0])
-        return looks_like_others(before, keyframe, self._keys, self._graph)
+        return fits_elsewhere(before, keyframe, self._keys, self._graph)
 
     def _extend_chain(self, keyframe: Keyframe, tracked: Increment) -> None:
         """Extend the chain by a keyframe, or begin a session with it.

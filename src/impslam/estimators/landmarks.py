@@ -13,10 +13,10 @@ from impslam.association.base import Assignment, Association
 from impslam.building.sightings import SightingsLog
 from impslam.component import parameter, register
 from impslam.errors import NumericalError
+from impslam.estimators.alternative_places import MAX_GROWTH, AlternativePlaces
 from impslam.estimators.base import MIN_SIGMA, Estimator, check_keyframe, is_finite
 from impslam.estimators.blur import blurred
 from impslam.estimators.duplicates import Duplicates, with_kept_landmark
-from impslam.estimators.look_alikes import MAX_GROWTH, LookAlikes
 from impslam.estimators.map_scale import joint_with_scale, landmark_with_scale, revision_with_scale
 from impslam.estimators.refused_fixes import RefusedFixes
 from impslam.estimators.slip import RECENT, Attempt, explains, slipped
@@ -58,7 +58,7 @@ class Landmarks(Estimator):
     _seen_kinds: set[str] = PrivateAttr(default_factory=set)
     _refused: RefusedFixes = PrivateAttr(default_factory=RefusedFixes)
     _duplicates: Duplicates = PrivateAttr(default_factory=Duplicates)
-    _look_alikes: LookAlikes = PrivateAttr(default_factory=LookAlikes)
+    _alternatives: AlternativePlaces = PrivateAttr(default_factory=AlternativePlaces)
     _counts: Counter[str] = PrivateAttr(default_factory=Counter)
     _sightings: SightingsLog = PrivateAttr(default_factory=SightingsLog)
     """The observations of all keyframes, from which `graph` continues the map."""
@@ -68,7 +68,7 @@ class Landmarks(Estimator):
         self._filter, self._association = parts["filter"], parts["association"]
         self._lifecycle, self._models = parts["lifecycle"], parts["models"]
         self._duplicates, self._origin = Duplicates(), pose[:2].copy()
-        self._look_alikes = LookAlikes()
+        self._alternatives = AlternativePlaces()
         self._filter.start(pose, MIN_SIGMA**2 * np.eye(3), self._models)
         self._lifecycle.start(self._models, self._association, self._filter.fresh())
 
@@ -99,7 +99,7 @@ class Landmarks(Estimator):
         except NumericalError:
             self._filter.undo_predict()
             raise
-        self._review_look_alikes(predicted, spread, observations)
+        self._review_alternatives(predicted, spread, observations)
         self._recent.append({match.landmark for match in choice.matches})
         self._lifecycle.move(self._motion)
         self._filter.note(observations, choice.matches, stamp)
@@ -110,24 +110,25 @@ class Landmarks(Estimator):
         is_empty = self._filter.state_size == len(self._filter.pose)
         chosen = [others[i] for i in self._lifecycle.promote(unmatched, now, is_empty)]
         chosen += self._first_of_kind(observations, unique)
-        born = self._filter.extend([observations[i] for i in chosen], stamp)
+        added = self._filter.extend([observations[i] for i in chosen], stamp)
         self._check_refused_fixes(observations, choice.matches, chosen, now)
 
         fused = self._duplicates.fuse(choice, self._filter, self._association)
-        matches, gone = tuple([with_kept_landmark(m, fused) for m in choice.matches]), list(fused)
+        matches = tuple([with_kept_landmark(m, fused) for m in choice.matches])
+        removed = list(fused)
         ids, outlines = self._filter.outlines()
         if keyframe.scan is not None and len(ids):
-            removed = self._lifecycle.review(
+            missed = self._lifecycle.review(
                 keyframe.scan, self._filter.pose, ids, outlines, matches
             )
-            self._filter.remove(removed)
-            gone += removed
+            self._filter.remove(missed)
+            removed += missed
 
         if fused:
             self._counts["landmarks fused"] += len(fused)
-        facts = {"matches": matches, "born": born, "origins": tuple(chosen)}
+        facts = {"matches": matches, "added": added, "origins": tuple(chosen)}
         facts["ambiguous"] = choice.ambiguous
-        return self._revision(keyframe, **facts, gone=tuple(gone), innovation=innovation)
+        return self._revision(keyframe, **facts, removed=tuple(removed), innovation=innovation)
 
     def _associate(self, observations: tuple[Observation, ...], motion: Increment) -> Assignment:
         """Associate; repeat the prediction with slipping wheels if that explains more."""
@@ -145,7 +146,7 @@ class Landmarks(Estimator):
         self._repeat_prediction(motion)
         return rolled.choice
 
-    def _review_look_alikes(
+    def _review_alternatives(
         self, predicted: Array, spread: Array, observations: tuple[Observation, ...]
     ) -> None:
         """Search for places that look the same after an uncertain motion, and tell them apart later.
@@ -154,12 +155,12 @@ class Landmarks(Estimator):
         correction.
         """
         uncertain = np.trace(self._motion.covariance[:2, :2]) > MAX_GROWTH**2
-        if not uncertain and not self._look_alikes.watching:
+        if not uncertain and not self._alternatives.watching:
             return
         landmarks = self._filter.landmarks()
         if uncertain:
-            self._look_alikes.begin(spread, max((mark.id for mark in landmarks), default=-1))
-        self._look_alikes.review(predicted, self._filter.pose, observations, landmarks)
+            self._alternatives.begin(spread, max((mark.id for mark in landmarks), default=-1))
+        self._alternatives.review(predicted, self._filter.pose, observations, landmarks)
 
     def _attempt(self, observations: tuple[Observation, ...], motion: Increment) -> Attempt:
         choice = self._filter.associate(observations, self._association)
@@ -185,7 +186,7 @@ class Landmarks(Estimator):
         self,
         observations: tuple[Observation, ...],
         matches: Sequence[Match],
-        born: list[int],
+        added: list[int],
         now: float,
     ) -> None:
         """Widen the pose, or remove the GPS frame, if refused fixes agree with each other."""
@@ -193,7 +194,7 @@ class Landmarks(Estimator):
         for i, fix in enumerate(observations):
             if not self._models[fix.kind].unique or fix.kind not in self._seen_kinds:
                 continue
-            if i in used or i in born:
+            if i in used or i in added:
                 self._refused.accept()
                 continue
             frame = next(mark for mark in self._filter.landmarks() if mark.kind == fix.kind)
@@ -225,7 +226,7 @@ class Landmarks(Estimator):
 
     def _revision(self, keyframe: Keyframe, **facts: Any) -> Revision:
         pose, covariance = self._filter.pose[None], self._filter.covariance[None]
-        facts["looks_alike"] = self._look_alikes.exist
+        facts["fits_elsewhere"] = self._alternatives.exist
         revision = Revision(np.array([keyframe.id]), pose, covariance, **facts)
         return self._with_scale(revision)
 

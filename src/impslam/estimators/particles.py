@@ -136,23 +136,23 @@ class Particles(Estimator):
             observed[self._add_landmark(seen[i], holders, keyframe.stamp)] = i
 
         shares = self._shares(weights)
-        gone = [number for number in self._mapped if shares[number] <= MIN_WEIGHT]
-        gone += self._missed(keyframe, weights, choice.best)
-        born = [
+        removed = [number for number in self._mapped if shares[number] <= MIN_WEIGHT]
+        removed += self._missed(keyframe, weights, choice.best)
+        added = [
             i
             for i in observed
-            if i not in self._mapped and i not in gone and shares[i] > MIN_WEIGHT
+            if i not in self._mapped and i not in removed and shares[i] > MIN_WEIGHT
         ]
         matches = tuple(match for match in choice.best if match.landmark in self._mapped)
         revision = self._revision(
             keyframe,
             matches=matches,
-            born=tuple(born),
-            origins=tuple(observed[number] for number in born),
-            gone=tuple(gone),
+            added=tuple(added),
+            origins=tuple(observed[number] for number in added),
+            removed=tuple(removed),
         )
-        self._mapped = (self._mapped | set(born)) - set(gone)
-        self._resample(weights, set(gone))
+        self._mapped = (self._mapped | set(added)) - set(removed)
+        self._resample(weights, set(removed))
         return revision
 
     def _predicted(self, motion: Increment) -> ParticlePoses:
@@ -251,15 +251,15 @@ class Particles(Estimator):
         known, ends = np.concatenate(ids), np.concatenate(outlines)
         return self._lifecycle.review(keyframe.scan, self._poses[best], known, ends, matches)
 
-    def _resample(self, weights: Array, gone: set[int]) -> None:
-        """Resample if few particles are effective; remove gone landmarks, and those of no particle."""
+    def _resample(self, weights: Array, removed: set[int]) -> None:
+        """Resample if few particles are effective; remove the given landmarks, and those of no particle."""
         if 1.0 / (weights @ weights) < self.resample_below * self.particles:
             parents = systematic(weights, self._rng.random())
             self._poses, self._log_weights = self._poses[parents], np.zeros(self.particles)
             for table in self._tables.values():
                 table.resample(parents)
         for table in self._tables.values():
-            unused = (table.rows < 0).all(0) | np.isin(table.ids, list(gone))
+            unused = (table.rows < 0).all(0) | np.isin(table.ids, list(removed))
             if unused.any():
                 table.forget(unused)
 

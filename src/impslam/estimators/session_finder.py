@@ -27,7 +27,7 @@ REVIEW_DISTANCE = 100.0
 share of the beams that contradict the map settles within 50 m."""
 MIN_KNOWN = 0.3
 """Share of beams that end in known space; with fewer, the map does not correct drift."""
-MIN_ODDS = 0.98  # among the places found; the search may have missed others
+MIN_PROBABILITY = 0.98  # among the places found; the search may have missed others
 HINT_DRIFT = 0.1  # m/m, drift since the hinted place
 
 
@@ -82,7 +82,7 @@ class SessionFinder:
         if best is None:
             return None
         pose = compose(best.pose, between(keys.chain[-1], keys.chain[keys.nodes[node]]))
-        return Guess(pose, best.odds >= MIN_ODDS, near is not None)
+        return Guess(pose, best.probability >= MIN_PROBABILITY, near is not None)
 
     def misfit(self, row: int, pose: Array, keys: KeyframeLog) -> float:
         """Return the share of the newest session's beams that contradict the map.

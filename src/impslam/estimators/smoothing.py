@@ -88,11 +88,11 @@ class Smoothing(Landmarks):
                 match.landmark, observations[match.observation], inflation
             )
         pose = self._filter.pose
-        for number, origin in zip(revision.born, revision.origins, strict=True):
+        for number, origin in zip(revision.added, revision.origins, strict=True):
             model = self._models[observations[origin].kind]
             self._smoother.add_landmark(number, model, observations[origin], pose)
             self._dims[number] = model.dim
-        for number in revision.gone:
+        for number in revision.removed:
             del self._dims[number]
 
     def _synchronise(self, keyframe: Keyframe, revision: Revision, *, has_moved: bool) -> Revision:

@@ -98,7 +98,7 @@ class HealthMonitor(Observer):
         reason_amount = self._landmarks.revise(keyframe, revision)
         if lost[0] < ELSEWHERE:
             lost[:] = reason_amount
-        if revision.looks_alike and lost[0] < AMBIGUOUS:
+        if revision.fits_elsewhere and lost[0] < AMBIGUOUS:
             lost[:] = AMBIGUOUS, 0.0
         if revision.assumed and lost[0] < ASSUMED:
             lost[:] = ASSUMED, 0.0

@@ -64,7 +64,7 @@ class LandmarkWatch:
         ratio = self._squares / self._freedoms
         self._biased = self._biased + 1 if biased else 0
         self._update_displaced(keyframe, revision, inconsistent=ratio > MAX_RATIO)
-        self._newest = max((self._newest, *revision.born))
+        self._newest = max((self._newest, *revision.added))
         self._recent.append(self._newest)
         if ratio > MAX_RATIO:
             return INCONSISTENT, math.sqrt(ratio)

@@ -23,7 +23,7 @@ MAX_SCANS = 8  # over 3 m
 MAX_SIGMA, MAX_TURN_SIGMA = 0.3, 0.05
 """m and rad, of the motion from the oldest scan: alignment pairs points up to 0.3 m apart, and the turn
 moves a point 6 m away by as much."""
-MIN_ODDS = 1e-4  # of a hypothesis that is followed
+MIN_PROBABILITY = 1e-4  # of a hypothesis that is followed
 
 
 class _Step(NamedTuple):
@@ -64,7 +64,7 @@ class DriveRelocaliser:
         """Locate the robot at the newest scan; `near` is a hint."""
         scans = query([step.view for step in self._steps], self._poses())
         answer = self._relocaliser.find_query(scans, near, self._hypotheses)
-        self._hypotheses = [h.pose for h in answer.hypotheses if h.odds >= MIN_ODDS]
+        self._hypotheses = [h.pose for h in answer.hypotheses if h.probability >= MIN_PROBABILITY]
         return answer
 
     def _append(self, step: _Step) -> None:

@@ -1,8 +1,8 @@
 """Global localisation of a scan in a map, without a prior pose.
 
 The whole map is searched (see `everywhere`), the places found are aligned with its surfaces, and each is
-scored by how well the map explains the scan's beams there (see `beams`). The result are hypotheses with
-odds, which allow for the scan being taken elsewhere, and a verdict, which may be that it is ambiguous.
+scored by how well the map explains the scan's beams there (see `beams`). The result is a list of hypotheses
+with probabilities, which account for places outside the map, and a verdict: found, ambiguous or nowhere.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ CLEAR_LEAD = 0.41
 """The lead of the best of many wrong places over the second one is exponentially distributed, like that of
 the greatest of many random values. For 431 scans and 404 drives of two offices whose best place was wrong,
 its mean was 0.09. It was greater than 0.41 for 7 and 14, none of which scored more than 0.48."""
-FOUND_ODDS = 0.98  # then the second place is at least 0.13 behind
+FOUND_PROBABILITY = 0.98  # then the second place is at least 0.13 behind
 
 
 class Verdict(Enum):
@@ -68,12 +68,12 @@ class PlaceHypothesis(NamedTuple):
     ----------
     pose : (3,) T_map_base
     score : how well the map explains the scan there, at most 1
-    odds : probability among the hypotheses and the possibility of another place
+    probability : among the hypotheses and the possibility of another place
     """
 
     pose: Array
     score: float
-    odds: float
+    probability: float
 
 
 class Answer(NamedTuple):
@@ -82,7 +82,7 @@ class Answer(NamedTuple):
     Attributes
     ----------
     verdict : FOUND if the first hypothesis is certain, NOWHERE if no place in the map fits
-    hypotheses : best first; their odds add up to at most 1
+    hypotheses : best first; their probabilities add up to at most 1
     """
 
     verdict: Verdict
@@ -225,7 +225,7 @@ def query(views: Sequence[View], poses: Array) -> Query:
 def answer(
     explained: Sequence[tuple[Explanation, Array]], points: float, *, complete: bool, whole: bool
 ) -> Answer:
-    """Return hypotheses with odds and the verdict, from distinct places, best first.
+    """Return hypotheses with probabilities and the verdict, from distinct places, best first.
 
     Beams that end in unknown space at the best place say nothing, and are left out. The other places count
     as if the map showed as much of them as of the best one, and beams ended on walls there.
@@ -246,15 +246,15 @@ def answer(
     chance = WRONG_SCORE + CHANCE_GAIN / math.sqrt(max(points * best.known, 1.0))
     scores = np.array([MIN_CHANCE if is_clear else max(chance, MIN_CHANCE), *found])
     weights = np.exp(EVIDENCE * (scores - scores.max()))
-    odds = weights / weights.sum()
+    probabilities = weights / weights.sum()
     hypotheses = tuple(
         PlaceHypothesis(pose, e.score, float(share))
-        for (e, pose), share in zip(explained, odds[1:], strict=True)
+        for (e, pose), share in zip(explained, probabilities[1:], strict=True)
     )
     verdict = Verdict.AMBIGUOUS
-    if complete and odds[1] >= FOUND_ODDS:
+    if complete and probabilities[1] >= FOUND_PROBABILITY:
         verdict = Verdict.FOUND
-    elif complete and odds[0] >= FOUND_ODDS:
+    elif complete and probabilities[0] >= FOUND_PROBABILITY:
         verdict = Verdict.NOWHERE
     return Answer(verdict, hypotheses)
 

@@ -121,7 +121,7 @@ class _MatchRecorder(Observer):
         self.matches += [(observations[match.observation], match) for match in revision.matches]
         self.promotions += [
             Promotion(number, keyframe.stamp, observations[origin])
-            for number, origin in zip(revision.born, revision.origins, strict=True)
+            for number, origin in zip(revision.added, revision.origins, strict=True)
         ]
 
 

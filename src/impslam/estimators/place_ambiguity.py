@@ -1,8 +1,8 @@
-"""Whether a scan may show another place than that of the estimate, after an interval that nothing covers.
+"""Whether a scan may show another place than that of the estimate, after a gap in the data.
 
-After a gap in the data, the robot may be anywhere within what it can have driven. Matching begins at the
-predicted pose, and takes the place that fits there. The map then tells whether another place within reach
-explains the scan as well, such as the next room of a hotel.
+After the gap, the robot may be anywhere that it can have driven to. Matching begins at the predicted pose,
+and takes the place that fits there. The map then shows whether another place within reach explains the scan
+as well, such as the next room of a hotel.
 """
 
 from __future__ import annotations
@@ -34,17 +34,15 @@ MIN_SHIFT = 0.5
 """m between the estimate and another place; nearer ones are the same, aligned a little differently."""
 
 
-def looks_like_others(
-    before: Array, keyframe: Keyframe, keys: KeyframeLog, graph: PoseGraph
-) -> bool:
+def fits_elsewhere(before: Array, keyframe: Keyframe, keys: KeyframeLog, graph: PoseGraph) -> bool:
     """Return whether a new keyframe fits the map at another place within its reach as well.
 
-    Another place counts from the odds at which relocalisation calls a place ambiguous. `before` (3,) is
-    the pose of the keyframe before it in the map.
+    Another place counts if it is probable enough for relocalisation to be ambiguous. `before` (3,) is the
+    pose of the keyframe before it in the map.
     """
     from impslam.recognition.relocalisation import (  # noqa: PLC0415  few runs need it
         EVIDENCE,
-        FOUND_ODDS,
+        FOUND_PROBABILITY,
         Near,
         query,
     )
@@ -57,7 +55,7 @@ def looks_like_others(
     finder = _surroundings(pose, radius, keys, graph)
     here = finder.align(scans, pose)
     information = np.linalg.inv(motion.covariance + MIN_SIGMA**2 * np.eye(3))
-    least = _score(finder.explain(scans, here)) + math.log(1.0 - FOUND_ODDS) / EVIDENCE
+    least = _score(finder.explain(scans, here)) + math.log(1.0 - FOUND_PROBABILITY) / EVIDENCE
     for place in finder.find_query(scans, Near(pose, radius)).hypotheses:
         off = between(before, place.pose) - motion.d_pose
         off[2] = wrap(off[2])
@@ -68,7 +66,7 @@ def looks_like_others(
     return False
 
 
-def in_doubt(keyframe: Keyframe) -> Keyframe:
+def as_session_start(keyframe: Keyframe) -> Keyframe:
     """Return a keyframe that begins a session, with a motion as uncertain as its reach."""
     sigmas = np.array(keyframe.reach)[[0, 0, 1]] / REACH_SIGMAS
     covariance = keyframe.motion.covariance + np.diag(sigmas**2)

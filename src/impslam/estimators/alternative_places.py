@@ -33,7 +33,7 @@ MIN_KEYFRAMES = 3
 """Keyframes in a row that must fit worse elsewhere: a landmark is missed now and then."""
 
 
-class LookAlikes:
+class AlternativePlaces:
     """Finds the places that look like that of the estimate, and rules them out by later scans."""
 
     def __init__(self) -> None:

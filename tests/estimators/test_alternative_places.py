@@ -5,8 +5,8 @@ import pytest
 from tests.filters.worlds import MODELS, R_POINT, R_WALL, wall_seen
 
 from impslam.association.mahalanobis import Mahalanobis
+from impslam.estimators.alternative_places import MIN_KEYFRAMES, AlternativePlaces
 from impslam.estimators.landmarks import Landmarks
-from impslam.estimators.look_alikes import MIN_KEYFRAMES, LookAlikes
 from impslam.filters.riekf import RightInvariantEkf
 from impslam.geometry.se2 import inverse, transform
 from impslam.lifecycle.immediate import Immediate
@@ -52,7 +52,7 @@ def at(x):
 
 def after_gap(estimate, truth, spread=WIDE, **what):
     """Return the state after the first scan after a gap, taken at `truth` and matched at `estimate`."""
-    found = LookAlikes()
+    found = AlternativePlaces()
     found.begin(spread, 99)
     found.review(at(estimate), at(estimate), seen_from(truth, **what), LANDMARKS)
     return found
@@ -75,7 +75,7 @@ def test_a_place_that_differs_by_several_landmarks_does_not_look_alike():
     ]
     points = [DOORS[0], landmarks[-2].position, landmarks[-1].position]
     seen = [Observation("corner", point - at(3.0)[:2], R_POINT) for point in points]
-    found = LookAlikes()
+    found = AlternativePlaces()
     found.begin(WIDE, 99)
     found.review(at(3.0), at(3.0), seen, landmarks)
     assert not found.exist
@@ -123,7 +123,7 @@ def test_the_estimator_searches_after_an_uncertain_motion_only():
         slam.start(at(2.0), models=MODELS, **parts)
         drive(slam, np.arange(2.2, 15.0, 0.3), 0.01)
         revision = drive(slam, [14.2], sigma)
-        assert revision.looks_alike == expected
+        assert revision.fits_elsewhere == expected
 
 
 def drive(slam, places, sigma):

@@ -22,8 +22,8 @@ from typing import NamedTuple
 import numpy as np
 
 from impslam.config import load
+from impslam.config_from_log import fitted
 from impslam.evaluation.relations import read_relations, relation_errors
-from impslam.fitting import fitted
 from impslam.run import map_log
 from impslam.studies.drives import DriveSource, RecordedDrive, recorded
 from impslam.types import Array

@@ -22,8 +22,8 @@ sys.path.insert(0, str(Path(__file__).parents[1]))  # the bags are those of the 
 from tests.sources.ros_recipes import BAGS
 from tests.sources.ros_robots import drive, write
 
+from impslam.config_from_log import choices
 from impslam.evaluation.trajectory import associate, ate
-from impslam.fitting import choices
 from impslam.open_log import open_log
 from impslam.run import map_log
 from impslam.simulation.world import load_world

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from impslam.map import Keyframes
-from impslam.recognition.stored import points_view
+from impslam.recognition.stored_views import points_view
 from impslam.recognition.submap import View
 from impslam.simulation.raycast import trace
 from impslam.types import Array

@@ -9,8 +9,8 @@ from tests.sources.ros_recipes import BAGS
 from tests.sources.ros_robots import Recipe, drive, write
 
 import impslam
+from impslam.config_from_log import choices
 from impslam.errors import SourceError
-from impslam.fitting import choices
 from impslam.geometry.se2 import between
 from impslam.open_log import open_log
 from impslam.run import map_log

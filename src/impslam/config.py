@@ -36,7 +36,7 @@ from impslam.map import Map
 from impslam.maps.grid import MAX_RESOLUTION, MIN_RESOLUTION
 from impslam.parameters import Parameters
 from impslam.paths import is_file, read_text
-from impslam.removed_parts import without_removed
+from impslam.removed_components import without_removed
 from impslam.robot import Robot
 from impslam.tracking.base import KeyframeGate, Tracker
 from impslam.types import Array

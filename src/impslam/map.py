@@ -14,13 +14,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from impslam.checked_arrays import finite
 from impslam.columns import Sweeps
 from impslam.component import shorten
 from impslam.errors import ConfigError, ImpError
 from impslam.geometry.chain import advance
 from impslam.geometry.kernels import kernel, read_only
 from impslam.geometry.se2 import compose, inverse
-from impslam.given_arrays import finite
 from impslam.health import NONE, Reasons
 from impslam.maps import archive, layout
 from impslam.maps.direction import Direction, main_direction

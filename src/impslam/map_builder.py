@@ -11,7 +11,7 @@ import numpy.typing as npt
 from impslam.geometry.chain import advance
 from impslam.geometry.kernels import kernel
 from impslam.geometry.se2 import between, compose, motion_lengths
-from impslam.growing import GrowingArray
+from impslam.growing_array import GrowingArray
 from impslam.map import UPPER, Keyframe, Keyframes, Map, PathRows, Revision, Track, poses_in_map
 from impslam.types import Array, Mask, Scan
 

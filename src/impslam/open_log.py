@@ -10,8 +10,8 @@ from pydantic import ValidationError
 
 from impslam.component import build, explain, shorten
 from impslam.config import Config, carried, load, load_plugins
+from impslam.config_from_log import fitted
 from impslam.errors import ConfigError, SourceError
-from impslam.fitting import fitted
 from impslam.sources.base import Source, recognise
 
 

@@ -9,11 +9,11 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from impslam.checked_arrays import finite, numeric, rows_of
 from impslam.columns import Columns
 from impslam.config import Config
 from impslam.continuing import begin_with
 from impslam.errors import ConfigError, ImpError
-from impslam.given_arrays import finite, numeric, rows_of
 from impslam.map import Keyframe, Map, PathRows, Revision, Track
 from impslam.observers.base import Observer, checked_observers
 from impslam.open_log import finished, for_continuing

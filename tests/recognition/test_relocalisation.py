@@ -14,7 +14,7 @@ from impslam.geometry.se2 import between, compose
 from impslam.recognition.beams import Explanation
 from impslam.recognition.drive import DriveRelocaliser
 from impslam.recognition.relocalisation import Near, Relocaliser, Verdict, answer
-from impslam.recognition.stored import stored_views
+from impslam.recognition.stored_views import stored_views
 from impslam.recognition.submap import view
 
 WAY = np.concatenate([

@@ -16,8 +16,8 @@ from tests.sources.logs import (
 )
 
 from impslam.columns import messages
+from impslam.config_from_log import choices
 from impslam.errors import SourceError
-from impslam.fitting import choices
 from impslam.geometry.se2 import compose
 from impslam.open_log import open_log
 from impslam.sources import carmen

@@ -9,8 +9,8 @@ from tests.sources.logs import read
 
 import impslam
 from impslam.cli import main
+from impslam.config_from_log import choices
 from impslam.errors import SourceError
-from impslam.fitting import choices
 from impslam.open_log import open_log
 from impslam.simulation.robot import Lidar, SimulatedRobot, WheelEncoders
 from impslam.simulation.simulate import simulate

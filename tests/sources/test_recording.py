@@ -13,8 +13,8 @@ from tests.sources.logs import assert_same, messages, read, write_mcap
 
 from impslam import columns
 from impslam.config import load
+from impslam.config_from_log import choices
 from impslam.errors import MessageError, SourceError
-from impslam.fitting import choices
 from impslam.sources.base import recognise
 from impslam.sources.recording import McapWriter
 from impslam.sources.ros_build import nanoseconds as nanoseconds_of

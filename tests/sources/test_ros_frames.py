@@ -8,8 +8,8 @@ from tests.sources.ros_robots import URDF, Laser, Recipe, Types, drive, write
 
 from impslam import columns
 from impslam.cli import main
+from impslam.config_from_log import choices
 from impslam.errors import SourceError
-from impslam.fitting import choices
 from impslam.open_log import open_log
 from impslam.simulation.world import load_world
 from impslam.sources.rosbag import RosBag

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from impslam.cli import console
 from impslam.config import Config
+from impslam.config_from_log import choices
 from impslam.diagnosis.diagnose import initial_findings, unread_copy
 from impslam.diagnosis.finding import worst_fault
-from impslam.fitting import choices
 from impslam.health import LogFault
 from impslam.sources.base import Source
 

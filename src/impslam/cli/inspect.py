@@ -41,7 +41,7 @@ def inspect(
     """
     from impslam.cli.job import all_settings
     from impslam.cli.survey import Survey
-    from impslam.fitting import choices
+    from impslam.config_from_log import choices
     from impslam.open_log import open_log
 
     chosen, source = open_log(log, config, all_settings(settings, topics, columns))

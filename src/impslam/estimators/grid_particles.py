@@ -44,7 +44,7 @@ from impslam.estimators.shared_maps import SharedMaps
 from impslam.geometry.angles import wrap
 from impslam.geometry.roots import root
 from impslam.geometry.se2 import compose
-from impslam.growing import GrowingArray
+from impslam.growing_array import GrowingArray
 from impslam.landmarks.base import LandmarkModel
 from impslam.map import Keyframe, Revision
 from impslam.surfaces.surface_map import Alignment

@@ -32,7 +32,7 @@ from pydantic import PrivateAttr
 from impslam.component import parameter, register
 from impslam.errors import NumericalError
 from impslam.estimators.base import MIN_SIGMA, Estimator, check_keyframe, is_finite
-from impslam.estimators.blur import blurred
+from impslam.estimators.observation_delay import blurred
 from impslam.estimators.sampling import normalised
 from impslam.filters.base import Filter
 from impslam.geometry.angles import wrap

@@ -18,7 +18,7 @@ from impslam.geometry.se2 import between, compose, inverse, motion_lengths
 from impslam.graph.bearings import ScanFeatures
 from impslam.graph.bundle import RefinementSettings, refine
 from impslam.graph.overlaps import Nearness, overlaps
-from impslam.growing import GrowingArray
+from impslam.growing_array import GrowingArray
 from impslam.map import Keyframe, Keyframes
 from impslam.map_builder import valid_points
 from impslam.maps.grid import PlacedScans

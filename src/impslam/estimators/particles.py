@@ -33,7 +33,7 @@ from impslam.association.base import Association
 from impslam.component import parameter, register
 from impslam.errors import ConfigError, NumericalError
 from impslam.estimators.base import MIN_SIGMA, Estimator, check_keyframe, is_finite
-from impslam.estimators.blur import blurred
+from impslam.estimators.observation_delay import blurred
 from impslam.estimators.particle_association import (
     ParticleMatches,
     ParticlePoses,

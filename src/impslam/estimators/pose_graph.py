@@ -23,7 +23,7 @@ from impslam.geometry.se2 import (
 )
 from impslam.graph.edges import roots
 from impslam.graph.solve import marginals, solve
-from impslam.growing import GrowingArray
+from impslam.growing_array import GrowingArray
 from impslam.types import Array, Edges, Ints, Mask
 
 KERNEL = 25.0

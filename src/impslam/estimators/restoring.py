@@ -20,7 +20,7 @@ from impslam.map import Keyframes, Map
 from impslam.maps.layout import undriven
 from impslam.noise import UNKNOWN
 from impslam.recognition.places import ALIGN_WINDOW
-from impslam.recognition.stored import points_view
+from impslam.recognition.stored_views import points_view
 from impslam.types import Array, Edges, Ints, Mask
 
 MAX_HOST_DISTANCE = 0.6

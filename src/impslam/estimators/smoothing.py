@@ -19,10 +19,10 @@ from pydantic import PrivateAttr
 from impslam.component import parameter, register
 from impslam.errors import ConfigError, NumericalError
 from impslam.estimators.base import MIN_SIGMA, Draft, is_definite, is_finite
-from impslam.estimators.blur import blurred
 from impslam.estimators.landmarks import Landmarks
+from impslam.estimators.observation_delay import blurred
 from impslam.estimators.smoother import Smoother, SmootherEstimate
-from impslam.growing import GrowingArray
+from impslam.growing_array import GrowingArray
 from impslam.map import Keyframe, Revision
 from impslam.types import NO_COVARIANCE, Array, Landmark, Observation
 

@@ -24,7 +24,7 @@ from impslam.recognition.beams import MAX_MISFIT
 from impslam.recognition.consistency import Relation, consistent
 from impslam.recognition.correlative import spread_order
 from impslam.recognition.relocalisation import Query, Relocaliser, Verdict, query
-from impslam.recognition.stored import stored_views
+from impslam.recognition.stored_views import stored_views
 from impslam.types import Array, Ints
 
 LENGTH = 3.0

@@ -8,7 +8,7 @@ import numpy as np
 
 from impslam.geometry.kernels import kernel, read_only
 from impslam.geometry.se2 import compose_uncertain
-from impslam.growing import GrowingArray
+from impslam.growing_array import GrowingArray
 from impslam.health import (
     AMBIGUOUS,
     ASSUMED,

@@ -15,8 +15,8 @@ from typing import NamedTuple
 import numpy as np
 
 from impslam.geometry.kernels import kernel, plain
-from impslam.recognition.ground import FREE, SIDE, SOLID, Floats, Ground
 from impslam.recognition.pyramid import Bytes
+from impslam.recognition.search_map import FREE, SIDE, SOLID, Floats, SearchMap
 from impslam.types import Array, Mask
 
 SIGMA = 0.08  # m, of a beam's end from the wall: range noise, cells of 5 cm, error of the map
@@ -77,10 +77,10 @@ class Explanation(NamedTuple):
         return 1.0 - self.unknown
 
 
-def explain(ground: Ground, beams: Beams, pose: Array) -> Explanation:
+def explain(search_map: SearchMap, beams: Beams, pose: Array) -> Explanation:
     """Return how well a map explains beams whose frame is at a pose (3,)."""
     sums = np.zeros(5)
-    _explain(ground.state, ground.distance, ground.corner, beams, plain(pose), sums)
+    _explain(search_map.state, search_map.distance, search_map.corner, beams, plain(pose), sums)
     return Explanation(*(sums / max(len(beams.ends), 1)).tolist())
 
 

@@ -1,6 +1,6 @@
 """Global localisation of a scan in a map, without a prior pose.
 
-The whole map is searched (see `everywhere`), the places found are aligned with its surfaces, and each is
+The whole map is searched (see `global_search`), the places found are aligned with its surfaces, and each is
 scored by how well the map explains the scan's beams there (see `beams`). The result is a list of hypotheses
 with probabilities, which account for places outside the map, and a verdict: found, ambiguous or nowhere.
 """
@@ -15,18 +15,18 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from impslam.checked_arrays import finite, numeric
 from impslam.component import shorten
 from impslam.errors import ConfigError, ShapeError
 from impslam.geometry.angles import wrap
 from impslam.geometry.se2 import compose, transform
-from impslam.given_arrays import finite, numeric
 from impslam.map import Keyframes
 from impslam.recognition.beams import Beams, Explanation, explain
-from impslam.recognition.everywhere import search_everywhere
-from impslam.recognition.ground import Ground, make_ground
+from impslam.recognition.global_search import search_everywhere
 from impslam.recognition.places import FINE, FINE_PRIOR
 from impslam.recognition.pyramid import CELL, Bytes, pool
-from impslam.recognition.stored import points_view, stored_views
+from impslam.recognition.search_map import SearchMap, make_search_map
+from impslam.recognition.stored_views import points_view, stored_views
 from impslam.recognition.submap import View, gather
 from impslam.surfaces.features import Features
 from impslam.surfaces.surface_map import align, no_evidence
@@ -118,7 +118,7 @@ class Relocaliser:
 
     Attributes
     ----------
-    ground : grids and surfaces of the map
+    search_map : grids and surfaces of the map
 
     Examples
     --------
@@ -145,7 +145,7 @@ class Relocaliser:
     def __init__(self, keyframes: Keyframes) -> None:
         if not isinstance(keyframes, Keyframes):
             raise ConfigError(f"{shorten(keyframes)}: expected the keyframes of a Map")
-        self.ground = make_ground(keyframes, stored_views(keyframes))
+        self.search_map = make_search_map(keyframes, stored_views(keyframes))
 
     def locate(
         self, points: ArrayLike, laser: ArrayLike = (0.0, 0.0), near: Near | None = None
@@ -178,10 +178,10 @@ class Relocaliser:
         """
         if len(scans.features) < MIN_POINTS:
             return Answer(Verdict.AMBIGUOUS, ())
-        allowed = None if near is None else _allowed_near(self.ground, near)
+        allowed = None if near is None else _allowed_near(self.search_map, near)
         centred = scans.features.copy()
         centred[:, :2] -= scans.laser.astype(np.float32)
-        places = search_everywhere(self.ground, centred, allowed)
+        places = search_everywhere(self.search_map, centred, allowed)
         starts = [*_base_poses(places.poses, scans.laser), *(followed if near is None else ())]
         explained = self._evaluate(scans, starts)
         # The scans of a drive see the same walls: the points of k of them count as those of sqrt(k).
@@ -197,13 +197,13 @@ class Relocaliser:
 
     def explain(self, scans: Query, pose: Array) -> Explanation:
         """Return how well the map explains scans at a pose (3,)."""
-        return explain(self.ground, scans.beams, pose)
+        return explain(self.search_map, scans.beams, pose)
 
     def align(self, scans: Query, start: Array) -> Array:
         """Return the pose (3,) after alignment of scans with the map's surfaces from a start."""
         pose = np.array(start)
         how = FINE._replace(step=max(1, len(scans.features) // ALIGN_POINTS))
-        align(self.ground.surfaces, scans.features, pose, FINE_PRIOR, how, no_evidence())
+        align(self.search_map.surfaces, scans.features, pose, FINE_PRIOR, how, no_evidence())
         return pose
 
 
@@ -287,12 +287,12 @@ def _are_close(one: Array, other: Array) -> bool:
     return math.dist(one[:2], other[:2]) <= SEPARATION and turn <= HEADING_SEPARATION
 
 
-def _allowed_near(ground: Ground, near: Near) -> Bytes:
-    """Return the allowed lidar positions near a place; see `Ground.allowed`."""
-    rows, columns = np.indices(ground.allowed[0].shape, sparse=True)
-    x = ground.corner[0] + (columns + 0.5) * CELL - near.place[0]
-    y = ground.corner[1] + (rows + 0.5) * CELL - near.place[1]
-    allowed = ground.allowed.copy()
+def _allowed_near(search_map: SearchMap, near: Near) -> Bytes:
+    """Return the allowed lidar positions near a place; see `SearchMap.allowed`."""
+    rows, columns = np.indices(search_map.allowed[0].shape, sparse=True)
+    x = search_map.corner[0] + (columns + 0.5) * CELL - near.place[0]
+    y = search_map.corner[1] + (rows + 0.5) * CELL - near.place[1]
+    allowed = search_map.allowed.copy()
     allowed[0][x * x + y * y > near.radius**2] = 0
     pool(allowed)
     return allowed

@@ -7,11 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from impslam.config_from_log import fitted
 from impslam.diagnosis.diagnose import initial_findings
 from impslam.diagnosis.finding import worst_fault
 from impslam.errors import ImpError, in_a_line
 from impslam.evaluation.consistency import nees, pose_errors
-from impslam.fitting import fitted
 from impslam.health import TRACKING, Health
 from impslam.map import Keyframe, Map, PathRows, Revision, Track
 from impslam.observers.base import Observer, Outcome

@@ -372,7 +372,7 @@ def test_wheels_that_stand_although_the_robot_is_driven_are_reported(bench):
     bench.drive_on(0.2, 0.3, 7.0)
     bench.run(9.0)
     assert {moment for moment, hindrance in seen.items() if hindrance} == {4.5}
-    assert "it is blocked" in seen[4.5]
+    assert "the robot is blocked" in seen[4.5]
     assert [text for text in bench.events if "is driven" in text] == [seen[4.5]]
 
 

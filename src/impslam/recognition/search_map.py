@@ -1,6 +1,6 @@
 """A map prepared for relocalisation: its occupancy grid in the forms that search and scoring need.
 
-The likelihood grid, with its maxima over blocks, is for the search of a pose (see `everywhere`); the
+The likelihood grid, with its maxima over blocks, is for the search of a pose (see `global_search`); the
 distance to the nearest wall is for ray casting (see `beams`); the surfaces are for alignment.
 """
 
@@ -59,7 +59,7 @@ MARGIN = 2  # unknown cells around a grid
 MAX_POINTS = 20.0  # over which a surfel averages
 
 
-class Ground(NamedTuple):
+class SearchMap(NamedTuple):
     """The grids and surfaces of a map.
 
     Attributes
@@ -86,7 +86,7 @@ class Ground(NamedTuple):
         return float(np.count_nonzero(self.allowed[0])) * CELL**2
 
 
-def make_ground(keyframes: Keyframes, views: Sequence[View]) -> Ground:
+def make_search_map(keyframes: Keyframes, views: Sequence[View]) -> SearchMap:
     """Return the grids and surfaces of the placed keyframes, given their views."""
     placed = np.flatnonzero(keyframes.placed)
     poses, views = keyframes.poses[placed], [views[k] for k in placed.tolist()]
@@ -107,7 +107,7 @@ def make_ground(keyframes: Keyframes, views: Sequence[View]) -> Ground:
     inside = (near_free & (to_keyframe < KEYFRAME_RADIUS)) | (to_keyframe < DRIVEN_RADIUS)
     allowed = _pyramid((inside & (to_wall > CLEARANCE)).astype(np.uint8))
     likelihood = _likelihood(poses, views, corner, distance, free)
-    return Ground(state, distance, corner, likelihood, allowed, surfaces)
+    return SearchMap(state, distance, corner, likelihood, allowed, surfaces)
 
 
 def _without_far_points(keyframes: Keyframes) -> Keyframes:

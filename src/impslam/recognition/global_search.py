@@ -20,8 +20,8 @@ from impslam.geometry.angles import wrap
 from impslam.geometry.kernels import kernel
 from impslam.recognition.bucket_queue import BucketQueue, empty_queue, pop, push
 from impslam.recognition.correlative import spread_order
-from impslam.recognition.ground import CHANCE, Ground
 from impslam.recognition.pyramid import CELL, FULL, Bytes, Ints32, direction_of
+from impslam.recognition.search_map import CHANCE, SearchMap
 from impslam.surfaces.features import Features
 from impslam.types import Array, Ints
 
@@ -61,20 +61,22 @@ class _Task(NamedTuple):
     evaluated: Ints  # (1,) number of blocks
 
 
-def search_everywhere(ground: Ground, points: Features, allowed: Bytes | None = None) -> Places:
+def search_everywhere(
+    search_map: SearchMap, points: Features, allowed: Bytes | None = None
+) -> Places:
     """Return the places at which features (n, 5), n >= 1, seen by a lidar at (0, 0), fit best.
 
-    `allowed` restricts the position of the lidar; see `Ground.allowed`.
+    `allowed` restricts the position of the lidar; see `SearchMap.allowed`.
     """
     ordered = _selected(points)
     count = len(ordered)
     found = np.zeros((MAX_PLACES, 4), np.int64)
-    allowed = ground.allowed if allowed is None else allowed
-    budget = int(np.clip(BUDGET * ground.area, MIN_BUDGET, MAX_BUDGET))
-    number, complete = _search(ground.likelihood, allowed, ordered, budget, found)
+    allowed = search_map.allowed if allowed is None else allowed
+    budget = int(np.clip(BUDGET * search_map.area, MIN_BUDGET, MAX_BUDGET))
+    number, complete = _search(search_map.likelihood, allowed, ordered, budget, found)
     found = found[:number]
     poses = np.empty((number, 3))
-    poses[:, :2] = ground.corner + (found[:, 1:3] + 0.5) * CELL
+    poses[:, :2] = search_map.corner + (found[:, 1:3] + 0.5) * CELL
     poses[:, 2] = wrap(found[:, 0].astype(np.float64) * (2.0 * math.pi / HEADINGS))
     return Places(poses, found[:, 3] / (FULL * count), bool(complete))
 

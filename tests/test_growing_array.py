@@ -4,7 +4,7 @@ from copy import copy
 
 import numpy as np
 
-from impslam.growing import GrowingArray
+from impslam.growing_array import GrowingArray
 
 
 def test_a_copy_and_its_original_grow_independently():

@@ -114,7 +114,7 @@ def test_what_a_component_consumes_is_part_of_the_contract(tmp_path):
     methods = "".join(f"    def {name}(self, readings): ...\n" for name in NEW)
     (tmp_path / "former.py").write_text(plug_in("odometry", "Odometry", methods))
     load_plugin(str(tmp_path / "former.py"))
-    with pytest.raises(ConfigError, match="lacks consumes: write it for this version"):
+    with pytest.raises(ConfigError, match="lacks consumes: update it for this version"):
         build("odometry", {"kind": "former"})
 
 

@@ -1,4 +1,4 @@
-"""Components: replaceable parts, found by name, whose fields are their parameters.
+"""Components: replaceable classes, found by name, whose fields are their parameters.
 
 A component is a frozen pydantic model. Its fields are its parameters, each with a unit and a
 description; its methods implement its role. A role is a direct subclass of `Component`
@@ -56,7 +56,7 @@ C = TypeVar("C", bound="Component")
 
 
 class Component(Parameters):
-    """A replaceable part. Fields are parameters; mutable state lives in private attributes."""
+    """A replaceable class. Fields are parameters; mutable state is in private attributes."""
 
     model_config = ConfigDict(arbitrary_types_allowed=True)
 
@@ -310,7 +310,7 @@ def _check_complete(cls: type[Component]) -> None:
         contract = next(base for base in reversed(cls.__mro__) if getattr(base, "role", ""))
         raise ConfigError(
             f"{cls.role} {cls.name!r} ({cls.__module__}.{cls.__qualname__}) lacks "
-            f"{', '.join(sorted(lacks))}: write it for this version of impslam, the contract is "
+            f"{', '.join(sorted(lacks))}: update it for this version of impslam; the contract is "
             f"{contract.__qualname__} in {contract.__module__}"
         )
 

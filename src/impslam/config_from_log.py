@@ -1,4 +1,4 @@
-"""Fit a config to the robot described in its log: mounts of sensors, and whether it has odometry."""
+"""Complete a config from a log: mounts of sensors, and whether the robot has odometry."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
 """Continue a map: skip the scans of a log that are in it already, and continue its keyframe ids.
 
 If the first scans of a log equal the last ones of the map, by stamps and odometry, the map was made from
-this log. These scans are tracked again, which costs little and restores the state of the tracker; the run
-then continues as if it had never stopped, also if its keyframes are others than those of the map. Other
-logs begin a session, which must be located in the map. Until the robot has moved, the scans of any two
-logs of a simulator are equal in this sense, so they are held back and not dropped.
+this log. These scans are tracked again, which is fast and restores the state of the tracker. The run then
+continues as if it had never stopped, even if its keyframes differ from those of the map. Other logs begin
+a session, which must be located in the map. Two logs of a simulator are equal in this sense until the
+robot has moved, so such scans are held back and not dropped.
 """
 
 from __future__ import annotations

@@ -54,7 +54,7 @@ def localise(
     Parameters
     ----------
     known : the map
-    log : a file or folder; its format is recognised from its content
+    log : a file or folder; its format is detected from its content
     config : a preset's name, a file, or a config; by default the preset that fits the log
     settings : overrides of the config, each as "key=value"
     every : localise only every n-th scan

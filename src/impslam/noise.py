@@ -19,7 +19,7 @@ MAX_GAP = 3.0
 
 BIAS_CORRELATION_TIME = 20.0
 """s; where the error of a gyro's bias is taken as random, the variance of the turn grows per second as if
-it were drawn anew after each such time. It lasts longer, but scans correct the heading sooner."""
+it were independent after each such time. It lasts longer, but scans correct the heading sooner."""
 
 
 class SystematicErrors(NamedTuple):
@@ -63,7 +63,7 @@ class SystematicErrors(NamedTuple):
         return np.array([False, False, True, True] if self.gyro_bias else [False, False])
 
     def turn_variances(self, d_pose: Array, duration: Array | float = 0.0) -> Array:
-        """Return the variances (...) of turns in motions (..., 3), if the errors were drawn anew.
+        """Return the variances (...) of turns in motions (..., 3), if the errors were independent.
 
         They are the same as those of the constant errors at 1 m or 1 rad, and `BIAS_CORRELATION_TIME`.
         """

@@ -22,7 +22,7 @@ def open_log(
 
     `config` is the name of a preset, a file, or a config; by default the preset that fits the log.
     `settings` override it, each as "key=value". The log's description of its robot fills what the config
-    leaves open: see `fitting`.
+    leaves open: see `config_from_log`.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Take parts out of a config: tables with `kind = "none"`."""
+"""Remove components from a config: tables with `kind = "none"`."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _WITHOUT = {
         "leave it as it is; estimators that do not need it ignore it",
     ),
 }
-"""What to write instead of `kind = "none"` for the parts of every run."""
+"""What to write instead of `kind = "none"` for the components that every run needs."""
 
 
 def without_removed(table: dict[str, Any]) -> dict[str, Any]:
@@ -24,7 +24,7 @@ def without_removed(table: dict[str, Any]) -> dict[str, Any]:
     Raises
     ------
     ConfigError
-        For a part that cannot be removed; it says what to write instead.
+        For a component that cannot be removed; it says what to write instead.
     """
     for role, instead in _WITHOUT.items():
         if isinstance(table.get(role), dict) and table[role].get("kind") == "none":

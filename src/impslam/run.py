@@ -57,7 +57,7 @@ def run(  # noqa: PLR0913  # each is a choice that a user may make
 
     Parameters
     ----------
-    log : a file or folder; its format is recognised from its content
+    log : a file or folder; its format is detected from its content
     config : a preset's name, a file, or a config; by default the preset that fits the log
     settings : overrides of the config, each as "key=value"
     known : a map to continue, or its file; the start of the log is located in it

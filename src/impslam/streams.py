@@ -1,4 +1,4 @@
-"""Assigns the streams of a log to the parts of the robot that read them."""
+"""Assigns the streams of a log to the odometry, gyro and sensors that read them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from impslam.types import Message
 
 @dataclass(slots=True)
 class Reader:
-    """A part of the robot that reads a stream.
+    """An odometry, gyro or sensor that reads a stream.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ class Streams:
                 raise ConfigError(f"{named}: no such stream in the log; {hint}")
 
     def check_reads(self, kind: type[Message], stream: str) -> None:
-        """Raise `ConfigError` if no part of the robot reads this type of message from this stream."""
+        """Raise `ConfigError` if nothing in the config reads this type of message from this stream."""
         fit = [reader for reader in self._all if issubclass(kind, reader.consumes)]
         if not fit:
             known = ", ".join(sorted({reader.consumes.__name__ for reader in self._all}))

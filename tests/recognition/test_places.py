@@ -40,14 +40,14 @@ def test_the_pose_is_found_from_anywhere_in_the_window(size, rng):
     for _ in range(20):
         half = np.array([size, size, min(0.1 * size, 0.5)])
         guess = TRUTH + half * rng.uniform(-0.75, 0.75, 3)
-        closure = recogniser.close(REFERENCE, QUERY, guess, Window(*half))
+        closure = recogniser.find_closure(REFERENCE, QUERY, guess, Window(*half))
         assert_at(closure, TRUTH)
         assert closure.verdict == ClosureStrength.STRONG
         assert np.linalg.eigvalsh(closure.information)[0] > 0.0
 
 
 def test_the_pose_is_found_without_any_guess():
-    closure = Recogniser().close(REFERENCE, QUERY, np.zeros(3), Window(15.0, 8.0, math.pi))
+    closure = Recogniser().find_closure(REFERENCE, QUERY, np.zeros(3), Window(15.0, 8.0, math.pi))
     assert_at(closure, TRUTH)
 
 
@@ -59,7 +59,7 @@ def test_frames_do_not_matter(rng):
         query = moved(QUERY, np.array([0.0, 0.0, U[2]]))
         truth = compose(truth, np.array([0.0, 0.0, -U[2]]))
         guess = truth + np.array([1.0, -0.8, 0.1])
-        assert_at(Recogniser().close(reference, query, guess, Window(2.0, 2.0, 0.3)), truth)
+        assert_at(Recogniser().find_closure(reference, query, guess, Window(2.0, 2.0, 0.3)), truth)
 
 
 def test_a_corridor_fixes_the_heading_and_the_position_across_it():
@@ -69,7 +69,7 @@ def test_a_corridor_fixes_the_heading_and_the_position_across_it():
     recogniser = Recogniser()
     truth = between(there[4], back[2])
     guess = truth + np.array([1.0, 0.3, 0.05])
-    closure = recogniser.close(reference, query, guess, Window(4.0, 4.0, 0.3))
+    closure = recogniser.find_closure(reference, query, guess, Window(4.0, 4.0, 0.3))
     assert not closure.has_position
     assert np.abs(closure.pose - truth)[1:].max() < 0.01
     sigma = np.sqrt(np.diagonal(np.linalg.inv(closure.information)))
@@ -89,7 +89,7 @@ def test_an_aisle_is_not_moved_through_its_shelf():
     truth, recogniser = between(there[8], back[4]), Recogniser()
     for off in (0.0, 0.4, -0.4):
         guess = truth + np.array([off, off, 0.0])
-        closure = recogniser.close(reference, query, guess, Window(2.4, 2.4, 0.4))
+        closure = recogniser.find_closure(reference, query, guess, Window(2.4, 2.4, 0.4))
         if closure is not None:
             assert_at(closure, truth, metres=0.3)
 
@@ -99,7 +99,7 @@ def test_a_corridor_leaves_open_where_along_it():
     reference = place(CORRIDOR, there, there[4], REFERENCE_CELL)
     query = place(CORRIDOR, back, back[2], QUERY_CELL, seed=1)
     truth = between(there[4], back[2])
-    closure = Recogniser().close(reference, query, truth, Window(0.4, 0.4, 0.1))
+    closure = Recogniser().find_closure(reference, query, truth, Window(0.4, 0.4, 0.1))
     along, across = closure.information[0, 0], closure.information[1, 1]
     assert across > 100.0 * along
 
@@ -112,7 +112,7 @@ def test_a_place_that_looks_partly_alike_is_refused():
     recogniser = Recogniser()
     truth = between(there[3], BACK[2])
     for size in (0.4, 2.0):
-        assert recogniser.close(reference, QUERY, truth, Window(size, size, 0.2)) is None
+        assert recogniser.find_closure(reference, QUERY, truth, Window(size, size, 0.2)) is None
     assert recogniser.counts["contradicted"] + recogniser.counts["no peak"] == 2
 
 
@@ -126,14 +126,14 @@ def test_the_next_aisle_is_not_the_one_that_looks_alike():
     query = place(AISLES, beside, beside[2], QUERY_CELL, seed=1)
     truth = between(here[6], beside[2])
     recogniser = Recogniser()
-    assert recogniser.close(reference, query, truth, Window(3.2, 3.2, 0.3)) is None
+    assert recogniser.find_closure(reference, query, truth, Window(3.2, 3.2, 0.3)) is None
     assert recogniser.counts["unlikely"] == 1
     alike = truth - np.array([0.0, 3.0, 0.0])
-    assert_at(recogniser.close(reference, query, alike, Window(1.0, 1.0, 0.3)), alike, 0.05)
+    assert_at(recogniser.find_closure(reference, query, alike, Window(1.0, 1.0, 0.3)), alike, 0.05)
 
 
 def test_a_place_beyond_three_sigma_is_found_if_the_guess_is_contradicted():
-    closure = Recogniser().close(
+    closure = Recogniser().find_closure(
         REFERENCE, QUERY, TRUTH + np.array([0.0, 2.7, 0.0]), Window(3.0, 3.0, 0.3)
     )
     assert_at(closure, TRUTH)
@@ -148,7 +148,7 @@ def test_a_true_place_half_hidden_is_found(size):
     reference = place(OFFICE, there, there[5], REFERENCE_CELL)
     truth = between(there[5], BACK[2])
     guess = truth + 0.5 * np.array([size, -size, 0.1])
-    closure = Recogniser().close(reference, query, guess, Window(size, size, 0.2))
+    closure = Recogniser().find_closure(reference, query, guess, Window(size, size, 0.2))
     assert_at(closure, truth, 0.03, 0.006)
 
 
@@ -157,9 +157,9 @@ def test_results_are_the_same_to_the_byte_whatever_came_before(rng):
     for _ in range(3):
         guess = TRUTH + rng.uniform(-1.0, 1.0, 3) * [2.0, 2.0, 0.2]
         window = Window(2.5, 2.5, 0.3)
-        used.close(moved(REFERENCE, rng.normal(size=3)), QUERY, guess, window)
-        first = used.close(REFERENCE, QUERY, guess, window)
-        again = Recogniser().close(REFERENCE, QUERY, guess, window)
+        used.find_closure(moved(REFERENCE, rng.normal(size=3)), QUERY, guess, window)
+        first = used.find_closure(REFERENCE, QUERY, guess, window)
+        again = Recogniser().find_closure(REFERENCE, QUERY, guess, window)
         assert first.pose.tobytes() == again.pose.tobytes()
         assert first.information.tobytes() == again.information.tobytes()
         assert (first.support, first.score) == (again.support, again.score)
@@ -168,7 +168,7 @@ def test_results_are_the_same_to_the_byte_whatever_came_before(rng):
 def test_too_few_points_are_counted():
     recogniser = Recogniser()
     few = QUERY._replace(features=QUERY.features[:59].copy())
-    assert recogniser.close(REFERENCE, few, TRUTH, Window(1.0, 1.0, 0.1)) is None
+    assert recogniser.find_closure(REFERENCE, few, TRUTH, Window(1.0, 1.0, 0.1)) is None
     assert recogniser.counts["attempts"] == recogniser.counts["too few points"] == 1
 
 
@@ -176,7 +176,7 @@ def test_errors_are_no_larger_than_the_information_says():
     recogniser, d2 = Recogniser(), []
     for seed in range(30):
         query = place(OFFICE, BACK, BACK[2], QUERY_CELL, noise=0.02, seed=seed)
-        closure = recogniser.close(REFERENCE, query, TRUTH, Window(0.3, 0.3, 0.1))
+        closure = recogniser.find_closure(REFERENCE, query, TRUTH, Window(0.3, 0.3, 0.1))
         error = closure.pose - TRUTH
         d2.append(error @ closure.information @ error)
     assert np.mean(d2) < 3.0
@@ -184,11 +184,11 @@ def test_errors_are_no_larger_than_the_information_says():
 
 def test_information_turns_with_the_reference(rng):
     guess, window = TRUTH + np.array([0.1, -0.1, 0.03]), Window(0.3, 0.3, 0.1)
-    closure = Recogniser().close(REFERENCE, QUERY, guess, window)
+    closure = Recogniser().find_closure(REFERENCE, QUERY, guess, window)
     T = rng.uniform([-30.0, -30.0, -3.0], [30.0, 30.0, 3.0])
     c, s = np.cos(T[2]), np.sin(T[2])
     turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    turned = Recogniser().close(moved(REFERENCE, T), QUERY, compose(T, guess), window)
+    turned = Recogniser().find_closure(moved(REFERENCE, T), QUERY, compose(T, guess), window)
     assert_at(turned, compose(T, closure.pose), 0.01, 0.002)
     expected = turn @ closure.information @ turn.T
     scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))

@@ -1,12 +1,12 @@
 """Other places where the scans fit as well, after the position has become uncertain.
 
-After a gap in the data, association matches a scan with the landmarks of one place, although another one
+After a gap in the data, association matches a scan with the landmarks of one place, although another place
 that looks the same may be within the uncertainty, such as the next door of a corridor. The covariance of
-the estimate is that of the chosen place. So the other places are searched for, and kept until scans have
-told them apart.
+the estimate does not include the others. So they are searched for, and kept until later scans contradict
+them.
 
-They differ from the estimate by a translation: after a gap, the turn is known from odometry or from the
-walls, the path in between is not.
+They differ from the estimate by a translation: after a gap, the heading is known from odometry or from the
+walls, the position is not.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class AlternativePlaces:
         return self.exist or self._prior is not None
 
     def begin(self, spread: Array, newest: int) -> None:
-        """Note that a motion was uncertain; the predicted position has the covariance `spread` (2, 2), m^2.
+        """Begin after an uncertain motion; the predicted position has the covariance `spread` (2, 2), m^2.
 
         `newest` is the newest landmark: later ones are at the place that is chosen now.
         """

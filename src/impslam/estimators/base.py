@@ -1,4 +1,4 @@
-"""The role of an estimator: keyframes in, revisions of the map out."""
+"""The interface of estimators: keyframes in, revisions of the map out."""
 
 from __future__ import annotations
 

@@ -223,7 +223,7 @@ class Graph(Estimator):
         return Revision(ids, poses[begin:], covariances[begin:], placed=placed[begin:])
 
     def _including_scale(self, covariances: Array, poses: Array) -> Array:
-        """Return covariances that include that of the scale; those of a frozen map do."""
+        """Return covariances that include that of the scale; those of a frozen map already do."""
         if self._known is not None:
             return covariances
         return with_scale(covariances, poses, self._graph.poses[0, :2], self.scale_sigma)
@@ -268,7 +268,7 @@ class Graph(Estimator):
         return tuple(landmark_with_scale(mark, origin, self.scale_sigma) for mark in found)
 
     def landmark_covariance(self) -> Array:
-        """Return that of a frozen map, whose landmarks stay; others have none."""
+        """Return the joint covariance of a frozen map, whose landmarks do not change; else (0, 0)."""
         return NO_COVARIANCE if self._known is None else self._known.landmark_covariance
 
     def draft(self) -> Draft:

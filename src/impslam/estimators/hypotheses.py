@@ -287,7 +287,7 @@ class MultipleHypotheses(Estimator):
         return tuple(replace(m, id=best.ids[m.id]) for m in best.filter.landmarks())
 
     def landmark_covariance(self) -> Array:
-        """Return that of the likeliest hypothesis; see `Estimator.landmark_covariance`."""
+        """Return the joint covariance by the likeliest hypothesis; see `Estimator.landmark_covariance`."""
         return self._hypotheses[0].filter.landmark_covariance()
 
     @property

@@ -109,7 +109,7 @@ class KeyframeLog:
         self._nodes.append(len(self) - 1)
 
     def begin_session(self, row: int) -> None:
-        """Begin a session at a keyframe, which is a node, after the fact."""
+        """Begin a session at an earlier keyframe, which is a node."""
         rows = np.arange(row, len(self))
         self._sessions.replace(rows, self.sessions[row:] + 1)
         self._distance.replace(rows, self.distance[row:] + SESSION_GAP)

@@ -1,9 +1,9 @@
-"""Find places that the robot has been to before, and add loop closures to the pose graph.
+"""Find revisited places, and add loop closures to the pose graph.
 
 Drift grows with distance, so closures are only searched between nodes with a long path through the graph,
-in a window of the size of the possible drift. The wider the window, the more similar places it contains: a
-closure from a wide one is accepted when a second one, found within the next metres, is consistent with it
-(Mangelson et al. 2018), because a false closure is far worse than a missed one.
+in a window of the size of the possible drift. A wide window contains more similar places, and a false
+closure is far worse than a missed one: a closure from a wide window is accepted only when others, found
+within the next metres, are consistent with it (Mangelson et al. 2018).
 """
 
 from __future__ import annotations
@@ -170,7 +170,7 @@ class LoopCloser:
             if reference is not None:
                 guess = between(graph.poses[u], graph.poses[node])
                 window = self.window(float(paths[u]))
-                closure = self.recogniser.close(reference, query, guess, window)
+                closure = self.recogniser.find_closure(reference, query, guess, window)
                 is_known = window.x <= MAX_KNOWN_WINDOW and offsets[u] < 0.5 * REFERENCE_RADIUS
                 contradicts = is_known and self._contradicts(query, guess, closure)
                 if contradicts:
@@ -216,7 +216,7 @@ class LoopCloser:
         if (reference := self._reference(u, node, keys, graph)) is None:
             return Comparison(math.inf, None)
         guess = between(graph.poses[u], pose)
-        closure = self.recogniser.close(reference, query, guess, window)
+        closure = self.recogniser.find_closure(reference, query, guess, window)
         if closure is None:
             differs = self.recogniser.outcome in ("no peak", "contradicted")
             return Comparison(float(offsets[u]) if differs else math.inf, None)

@@ -1,4 +1,4 @@
-"""The uncertainty of observations whose beams were fired before or after the keyframe's stamp."""
+"""The uncertainty of observations that were measured before or after the keyframe's stamp."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
 """Place pending sessions, which no edge connects to the map yet.
 
-A session begins where a map is continued, and where scans stop fitting the map. Either the robot has been
-carried elsewhere, or only its view has changed and odometry still tells where it is. The scans of the
-session's nodes are compared with the map at both places: wherever they are found in the whole map, and
-where odometry expects them. The place by odometry takes fewer closures that agree, and one elsewhere is not
-accepted while the map agrees with odometry.
+A session begins where a map is continued, and where scans stop fitting the map. Then either the robot was
+carried, or only its view has changed and odometry is still right. The scans of the session's nodes are
+compared with the map in both cases: wherever they are found in the whole map, and where odometry expects
+them. The place by odometry needs fewer closures that agree, and another one is not accepted while the map
+agrees with odometry.
 """
 
 from __future__ import annotations

@@ -76,7 +76,7 @@ class Ekf(GaussianFilter):
         self._add_systematic(increment, heading, errors)
 
     def _noise(self, increment: Increment) -> Array:
-        """Return the covariance (3, 3) of the error that is drawn anew."""
+        """Return the covariance (3, 3) of the independent part of the error."""
         return increment.random if self.considers_shared_errors else increment.covariance
 
     def _systematic(self, increment: Increment) -> Ints:

@@ -1,17 +1,17 @@
-"""A common time line for streams whose clocks are set during a log, or whose stamps are no times.
+"""A common time line for streams whose clocks are set during a log, or whose stamps are not times.
 
 If a clock is set in the middle of a log, by the network or by hand, the stamps of some or all streams
 step back or ahead, while the order of the log remains correct. Each stream has a shift that is added to
 its stamps. Where the clock of a stream was set, the shift changes so that time advances by one period
 there, and streams that were synchronous remain so.
 
-Other stamps are no times at all: zero, random, or so coarse that they are equal for seconds. The order of
+Other stamps are not times at all: zero, random, or so coarse that they are equal for seconds. The order of
 the log then decides: such a row is placed at the newest time of all streams. A clock runs at 1 s/s and is
 rarely set, so a stamp contradicts the order if
 
 - it repeats while the time of other streams advances, or ten times;
 - it does not advance, and is more than the jitter before the newest time;
-- it leaps, although the clock of the stream was set twice before, and the next stamp does not continue it.
+- it jumps, although the clock of the stream was set twice before, and the next stamp does not continue it.
 
 A stream whose stamps mostly contradict the order is used by order alone, until its stamps run again.
 """
@@ -28,12 +28,12 @@ from impslam.types import Array, Ints, Mask
 JITTER = 1.0
 """s: stamps that a busy computer assigns on arrival can run back by up to 0.9 s (the Intel log of the
 SLAM benchmarks) although its clock was not set."""
-LEAP = 2.0 * JITTER
+JUMP = 2.0 * JITTER
 """s: jitter moves stamps ahead by less than this, from a late one to an early one."""
 MAX_PAUSE = 86400.0
-"""s: a clock that leaps further ahead was set; a pause of a log is shorter."""
+"""s: a clock that jumps further ahead was set; a pause of a log is shorter."""
 LATEST = 1e11
-"""s: a stamp beyond this, in the year 5138, is no time."""
+"""s: a stamp beyond this, in the year 5138, is invalid."""
 RESOLUTION = 1e-6
 """s: stamps that are closer are equal; stamps of this century are exact to 2e-7 s."""
 MAX_REPEATS, MAX_ADVANCE = 10, 0.02
@@ -47,7 +47,7 @@ DISTRUST, TRUST = 0.6, 0.2
 """Shares of contradicting stamps above which a stream is used by order, and below which by stamp again.
 Half of the rows of a CARMEN log contradict if one kind of line has no stamps."""
 MAX_SET = 2
-"""Times that a clock is set; after that, a leap is a wrong stamp unless the next stamp continues it."""
+"""Times that a clock is set; after that, a jump is a wrong stamp unless the next stamp continues it."""
 MAX_AHEAD = 60.0
 """s by which a stream that is no longer believed may leave the time of the others behind."""
 MAX_UNTIMED = 0.1
@@ -59,16 +59,16 @@ by order, because of its own stamp."""
 _LATE = 4  # by order, because it is the first row of its stream, and from before the log
 
 # Columns of a stream's newest row: its shift; its stamp, time, lag behind the newest time of all streams,
-# period, and how far other streams have leapt ahead since, all in s and of rows used by stamp.
-_SHIFT, _STAMP, _TIME, _LAG, _PERIOD, _LEAPED = range(6)
+# period, and how far other streams have jumped ahead since, all in s and of rows used by stamp.
+_SHIFT, _STAMP, _TIME, _LAG, _PERIOD, _JUMPED = range(6)
 # The newest row's stamp, however used; how often the stamp above was repeated, and the newest time of all
 # streams when it was new; number of rows judged, and number and mean share of those that contradict the
 # order; how the newest row is used, and whether all rows are used by order.
 _NEWEST, _REPEATS, _SINCE, _ROWS, _BAD, _SHARE, _HOW, _DISTRUSTED = range(6, 14)
-# Shared by all streams: the first and the newest time; the stream of the newest leap ahead (a pause or a
+# Shared by all streams: the first and the newest time; the stream of the newest jump ahead (a pause or a
 # step), its stamp, the time before it, and its size until it turns out to be a step; the sum of such
 # steps; the number of rows, and of those without any usable clock; stamp and time of the row before.
-_FIRST, _NOW, _LEAPER, _LEAP_STAMP, _LEAP_BEFORE, _LEAP, _EXCESS, _COUNT, _UNTIMED = range(9)
+_FIRST, _NOW, _JUMP_STREAM, _JUMP_STAMP, _JUMP_BEFORE, _JUMP, _EXCESS, _COUNT, _UNTIMED = range(9)
 _STAMP_BEFORE, _TIME_BEFORE = 9, 10
 
 
@@ -172,7 +172,7 @@ def _place(
             steps[count, 0] = k
             count += _follow(table[:known], shared, stream_index, stamp, steps[count, 1:])
         if stream[_HOW] == BY_ORDER:
-            stream[_LAG], stream[_LEAPED] = 0.0, 0.0
+            stream[_LAG], stream[_JUMPED] = 0.0, 0.0
             _rewind(table[:known], shared)
             stream[_TIME] = max(stream[_TIME], shared[_NOW])
         else:
@@ -229,7 +229,7 @@ def _begin(table: Array, shared: Array, stream: Array, stamp: float) -> None:
     stream[_SHIFT], stream[_STAMP], stream[_TIME] = shift, stamp, stamp + shift
     if shared[_FIRST] < np.inf and stamp + shift < shared[_FIRST] - JITTER:
         stream[_HOW] = _LATE
-    elif stamp + shift > now + LEAP:  # another clock, or a pause: no evidence of time
+    elif stamp + shift > now + JUMP:  # another clock, or a pause: no evidence of time
         shared[_EXCESS] += stamp + shift - now
 
 
@@ -265,8 +265,8 @@ def _follow(table: Array, shared: Array, stream_index: int, stamp: float, entry:
     step = stamp - stream[_STAMP]
     expected = _expected(stream, shared[_NOW])
     low, high = expected - JITTER, max(expected, shared[_NOW]) + JITTER
-    leaps = abs(step) > JITTER and not low <= stamp + stream[_SHIFT] <= high
-    fitting = _nearest(table, stamp, expected, low, high) if leaps else stream[_SHIFT]
+    jumps = abs(step) > JITTER and not low <= stamp + stream[_SHIFT] <= high
+    fitting = _nearest(table, stamp, expected, low, high) if jumps else stream[_SHIFT]
     was_by_order = stream[_HOW] == BY_ORDER
     stream[_REPEATS] += abs(step) <= RESOLUTION
     if _contradicts(shared, stream, stamp, fitting):
@@ -275,16 +275,16 @@ def _follow(table: Array, shared: Array, stream_index: int, stamp: float, entry:
     stream[_HOW] = BY_STAMP
     if abs(step) > RESOLUTION:
         stream[_REPEATS] = 0.0
-        if not leaps:
+        if not jumps:
             _judge(stream, False)
-    if stream[_LEAPED] != 0.0 and step >= 0.5 * stream[_LEAPED]:  # all streams paused
-        stream[_LEAPED] = shared[_LEAP] = 0.0
-    if leaps:
+    if stream[_JUMPED] != 0.0 and step >= 0.5 * stream[_JUMPED]:  # all streams paused
+        stream[_JUMPED] = shared[_JUMP] = 0.0
+    if jumps:
         return _set(table, shared, stream_index, stamp, (expected, fitting), entry)
-    if stream[_LEAPED] != 0.0 and shared[_LEAP_BEFORE] < stamp + stream[_SHIFT]:
-        entry[0], entry[1], entry[2] = shared[_LEAPER], stream[_LEAPED], shared[_LEAP_STAMP]
-        stream[_SHIFT] += stream[_LEAPED]
-        stream[_LEAPED] = 0.0
+    if stream[_JUMPED] != 0.0 and shared[_JUMP_BEFORE] < stamp + stream[_SHIFT]:
+        entry[0], entry[1], entry[2] = shared[_JUMP_STREAM], stream[_JUMPED], shared[_JUMP_STAMP]
+        stream[_SHIFT] += stream[_JUMPED]
+        stream[_JUMPED] = 0.0
         _refute(table, shared)
         return 1
     if step > 0.0 and not was_by_order:
@@ -294,7 +294,7 @@ def _follow(table: Array, shared: Array, stream_index: int, stamp: float, entry:
 
 @kernel
 def _contradicts(shared: Array, stream: Array, stamp: float, fitting: float) -> bool:
-    """Return whether a stamp contradicts the order; NaN as `fitting` shift means that it leaps."""
+    """Return whether a stamp contradicts the order; NaN as the `fitting` shift means that it jumps."""
     if not abs(stamp) <= LATEST:  # or NaN
         return True
     if np.isnan(fitting):
@@ -305,7 +305,7 @@ def _contradicts(shared: Array, stream: Array, stamp: float, fitting: float) -> 
         moved = shared[_NOW] - stream[_SINCE] > MAX_ADVANCE
         if repeats >= MAX_REPEATS or (repeats >= 2.0 and moved):
             return True
-    if stream[_LEAPED] != 0.0:  # late, from before the leap
+    if stream[_JUMPED] != 0.0:  # late, from before the jump
         return False
     floor = max(stream[_TIME], shared[_NOW] - stream[_LAG]) - JITTER
     return bool(-JITTER <= step <= RESOLUTION and stamp + stream[_SHIFT] < floor)
@@ -320,7 +320,7 @@ def _set(
     goals: tuple[float, float],
     entry: Array,
 ) -> int:
-    """Update the shift of a stream that leaps; return 1 if its clock was set.
+    """Update the shift of a stream that jumps; return 1 if its clock was set.
 
     `goals` are the expected time, and the shift in use that fits it, or NaN.
     """
@@ -332,7 +332,7 @@ def _set(
         stream[_SHIFT] = expected - stamp
     if stream[_SHIFT] != before:
         stream[_HOW] = CLOCK_SET
-    if step < 0.0 and shared[_LEAP] and shared[_LEAP_STAMP] == stream[_STAMP]:  # a wrong stamp
+    if step < 0.0 and shared[_JUMP] and shared[_JUMP_STAMP] == stream[_STAMP]:  # a wrong stamp
         _refute(table, shared)
     elif stream[_SHIFT] != before:
         stream[_BAD] += 1.0
@@ -344,11 +344,11 @@ def _set(
 
 @kernel
 def _refute(table: Array, shared: Array) -> None:
-    """Record that the newest leap was not a pause."""
-    if shared[_LEAP] > 0.0:
-        table[int(shared[_LEAPER]), _BAD] += 1.0
-        shared[_EXCESS] += shared[_LEAP]
-        shared[_LEAP] = 0.0
+    """Record that the newest jump was not a pause."""
+    if shared[_JUMP] > 0.0:
+        table[int(shared[_JUMP_STREAM]), _BAD] += 1.0
+        shared[_EXCESS] += shared[_JUMP]
+        shared[_JUMP] = 0.0
 
 
 @kernel
@@ -383,14 +383,14 @@ def _advance(table: Array, shared: Array, stream_index: int, stamp: float) -> No
     """Advance the time to a stamp of a stream."""
     stream = table[stream_index]
     time = stamp + stream[_SHIFT]
-    if time > max(shared[_NOW], stream[_TIME] + stream[_PERIOD]) + LEAP:
-        shared[_LEAPER], shared[_LEAP_STAMP] = stream_index, stamp
-        shared[_LEAP_BEFORE] = shared[_NOW]
-        leap = time - _expected(stream, shared[_NOW])
-        shared[_LEAP] = leap if stream[_ROWS] > 1.0 else 0.0
+    if time > max(shared[_NOW], stream[_TIME] + stream[_PERIOD]) + JUMP:
+        shared[_JUMP_STREAM], shared[_JUMP_STAMP] = stream_index, stamp
+        shared[_JUMP_BEFORE] = shared[_NOW]
+        jump = time - _expected(stream, shared[_NOW])
+        shared[_JUMP] = jump if stream[_ROWS] > 1.0 else 0.0
         for i in range(len(table)):
             if i != stream_index:
-                table[i, _LEAPED] += leap
+                table[i, _JUMPED] += jump
     if time >= shared[_FIRST] - JITTER or shared[_FIRST] == np.inf:  # else by another clock
         shared[_FIRST] = min(shared[_FIRST], time)
     shared[_NOW] = max(shared[_NOW], time)

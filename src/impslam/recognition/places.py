@@ -125,7 +125,7 @@ class Recogniser:
         self._reference: Submap | None = None
         self._pyramid: Pyramid | None = None
 
-    def close(
+    def find_closure(
         self, reference: Submap, query: Submap, guess: Array, window: Window
     ) -> Closure | None:
         """Return the pose of the query in the reference, in a window of four sigma around a guess (3,).

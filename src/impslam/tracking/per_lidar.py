@@ -1,4 +1,4 @@
-"""State of each lidar, begun anew if the number of its beams changes."""
+"""State of each lidar, reset if the number of its beams changes."""
 
 from __future__ import annotations
 

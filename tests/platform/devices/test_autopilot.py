@@ -373,7 +373,7 @@ def test_wheels_that_stand_although_the_robot_is_driven_are_reported(bench):
     bench.run(9.0)
     assert {moment for moment, hindrance in seen.items() if hindrance} == {4.5}
     assert "the robot is blocked" in seen[4.5]
-    assert [text for text in bench.events if "is driven" in text] == [seen[4.5]]
+    assert [text for text in bench.events if "are driven" in text] == [seen[4.5]]
 
 
 def test_motors_that_stall_are_a_hindrance(bench):

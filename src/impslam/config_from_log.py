@@ -124,7 +124,7 @@ def _describe_config_mount(name: str, config: Config) -> str:
     if "mount" not in table and "upside_down" not in table:
         return f"mount unknown, assumed to be at base_link; set sensors.{name}.mount"
     own = Mount(tuple(table.get("mount", (0.0, 0.0, 0.0))), table.get("upside_down", False))
-    return f"mount {_describe_pose(own)}, the config"
+    return f"mount {_describe_pose(own)} from the config"
 
 
 def _lasers(robot: Robot, source: Source) -> Iterator[tuple[str, str, Mount]]:
@@ -223,7 +223,7 @@ def _describe_mount(name: str, mount: Mount, config: Config) -> str:
     if "mount" in table or "upside_down" in table:
         own = Mount(tuple(table.get("mount", (0.0, 0.0, 0.0))), table.get("upside_down", False))
         log = "" if mount.pose is None else f"; not {_describe_pose(mount)}, {mount.origin}"
-        return f"mount {_describe_pose(own)}, the config{log}"
+        return f"mount {_describe_pose(own)} from the config{log}"
     return f"mount unknown, assumed to be at base_link: {mount.origin}; set sensors.{name}.mount"
 
 

@@ -114,7 +114,9 @@ def test_a_mount_in_the_config_is_not_watched(entries, tmp_path):
         found = list(columns.messages(source.batches()))
     assert sum(isinstance(m, LaserScan) for m in found) == 10
     assert not source.problems.counts
-    said = "mount [0.100 m, 0.100 m, 0.0 deg], the config; not [0.100 m, 0.050 m, 0.0 deg], /tf: "
+    said = (
+        "mount [0.100 m, 0.100 m, 0.0 deg] from the config; not [0.100 m, 0.050 m, 0.0 deg], /tf: "
+    )
     assert said in choices(config, source)
 
 
@@ -342,7 +344,7 @@ def test_contradictory_static_transforms_are_reported_and_scans_used(entries, tm
     )
     fix = said.partition("--set '")[2].partition("'")[0]
     config, source = open_log(log, None, [fix])
-    assert "mount [0.300 m, 0.050 m, 28.6 deg], the config" in choices(config, source)
+    assert "mount [0.300 m, 0.050 m, 28.6 deg] from the config" in choices(config, source)
     assert not source.problems.counts
 
 

@@ -62,8 +62,8 @@ def _consistency_note(known: Sequence[Consistency]) -> str:
     dofs = " or ".join(str(dof) for dof in sorted({c.dof for c in known}))
     two = "" if min(c.dof for c in known) == 3 else " (2: position only)"
     return (
-        f"NEES: mean over poses from the true start, ideal {dofs}{two}; 95 %: its interval if "
-        "consistent, from chi-square and the correlation of steps; within: share of poses in the "
+        f"NEES: mean over poses, with the truth aligned at the start, ideal {dofs}{two}; 95 %: its "
+        "interval for consistent covariances and correlated poses; within: share of poses in the "
         "interval of a single pose"
     )
 
@@ -110,8 +110,8 @@ def show_landmarks(scores: Mapping[str, Sequence[KindScore]], gate: float, note:
     rows = {(run, s.kind): _kind_cells(s) for run, kinds in scores.items() for s in kinds}
     show(header, dict(sorted(rows.items(), key=lambda row: row[0][1])))
     console.echo(
-        f"matched within {gate:g} m, {note}; walls: distance across, at their midpoint; NEES: ideal 2, "
-        "from the true start"
+        f"matched within {gate:g} m, {note}; walls: perpendicular distance at their midpoint; NEES: ideal "
+        "2, with the truth aligned at the start"
     )
 
 
@@ -136,8 +136,8 @@ def show_innovations(found: Mapping[str, Innovations]) -> None:
     show(header, {(run,): _innovation_cells(some) for run, some in found.items()})
     console.echo(
         "NIS: normalised innovation squared per degree of freedom, ideal 1, over keyframes with matches; "
-        "needs no truth; 95 %: its interval if consistent, from chi-square; within: share of keyframes "
-        "in their own interval"
+        "needs no truth; 95 %: its interval for consistent covariances; within: share of keyframes in "
+        "their own interval"
     )
 
 
@@ -164,7 +164,7 @@ def show_quality(found: Mapping[str, Quality]) -> None:
     show(header, {(run,): _quality_cells(q) for run, q in found.items()})
     console.echo(
         "disagreement: distance between scans of the same surface, mean of those within a pass and "
-        "between passes; needs no truth, but cannot show a bent map if no place was revisited"
+        "between passes; needs no truth, but does not detect a bent map if no place was revisited"
     )
 
 

@@ -96,7 +96,7 @@ def _show_clocks(survey: Survey) -> None:
     console.show_table(header, rows, numbers=6)
     if any(clock.backward for clock in survey.clocks.values()):
         console.echo(
-            "backward stamps alone are no problem: messages are used in the order of the log"
+            "backward stamps alone are not a problem: messages are used in the order of the log"
         )
 
 

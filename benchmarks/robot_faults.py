@@ -102,7 +102,7 @@ def torment(imp: VirtualRobot, device: Device, name: str, times: int, seed: int,
 def turn(station: Station, imp: VirtualRobot, times: int, seed: int, out: dict, stop) -> None:
     """Drive to and fro, and block the motors at times: they must respond again afterwards."""
     rng = np.random.default_rng(seed)
-    station.helm.take("benchmark", "benchmark")
+    station.drive_control.take("benchmark", "benchmark")
     stalls = 0
     sign, due, next_stall, healed = 1.0, 0.0, time.monotonic() + 2.0, None
     while not stop.is_set():
@@ -113,7 +113,7 @@ def turn(station: Station, imp: VirtualRobot, times: int, seed: int, out: dict, 
             side = str(rng.choice(["left", "right", "both"]))
             imp.fault("stall", side=side, seconds=0.5)
             stalls, healed = stalls + 1, moment + 0.5
-        station.helm.drive("benchmark", 0.0, 0.5 * sign)
+        station.drive_control.drive("benchmark", 0.0, 0.5 * sign)
         if healed is not None and moment > healed:
             motors = np.abs(imp.truth(moment)["motors"])
             if motors.min() > 0.03:

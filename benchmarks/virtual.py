@@ -35,7 +35,7 @@ SPEED, TURN_RATE = (
     0.1,
     0.4,
 )  # m/s and rad/s: a circle of 0.25 m radius, which the arena has room for
-COMMANDS = 20.0  # Hz, as the helm sends them
+COMMANDS = 20.0  # Hz, as drive control sends them
 
 
 def parts() -> None:

@@ -118,7 +118,7 @@ def robot(
     ):
         station.begin(record=record, map_=map_)
         heartbeat = Heartbeat()
-        with Watchdog(lambda: heartbeat.alive() and station.helm.alive):
+        with Watchdog(lambda: heartbeat.alive() and station.drive_control.alive):
             model = Model(title, station.view, station=station, fault=fault)
             serve(model, settings, ready=echo, beat=heartbeat.beat, listener=listener)
     echo(f"stopped; logs are in {station.folder}")

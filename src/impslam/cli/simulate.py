@@ -52,7 +52,7 @@ def simulate(
         record its on-board camera with --set camera.rate=5, in 5 MP with camera.width=3648 and
         camera.height=1368. `imp list simulated-robot` lists all parameters.
     camera
-        Video file (.mp4, .avi, .mkv) to film the drive to with an overhead camera.
+        Also film the drive with an overhead camera, to this video file (.mp4, .avi, .mkv).
     """
     from impslam.evaluation.landmark_files import landmarks_path
     from impslam.paths import keep_inputs

@@ -38,8 +38,8 @@ class Search:
         tenth to ten times the value in the config.
     score
         truth or relations: the error against them. quality: the disagreement of the scans.
-        likelihood: that of the innovations, suited to noise. best: the first available of truth,
-        relations and quality.
+        likelihood: the negative log-likelihood of the innovations, for noise parameters. best: the
+        first available of truth, relations and quality.
     holdout
         Held-out logs: the result is scored on them, but the search does not use them.
     trials

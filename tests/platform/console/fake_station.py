@@ -30,7 +30,7 @@ from impslam.platform.console import page
 from impslam.platform.console.model import Model
 from impslam.platform.console.session import Session
 from impslam.platform.devices.base import DeviceHealth, now
-from impslam.platform.station.helm import Helm
+from impslam.platform.station.drive_control import DriveControl
 from impslam.platform.station.log_store import StoredLog
 from impslam.platform.station.map_store import StoredMap
 from impslam.platform.station.mapper_status import MapperStatus
@@ -156,7 +156,7 @@ class FakeDrive:
     """Records its commands."""
 
     stopped = False
-    title, hindrance = "drive", ""
+    title, blockage = "drive", ""
 
     def __init__(self) -> None:
         self.told: list[tuple[float, float, float]] = []
@@ -285,7 +285,7 @@ class FakeStation:
         self.folder, self.limits, self.tour = folder, LIMITS, tour
         self.drive = FakeDrive()
         self.events: list[Event] = []
-        self.helm = Helm(cast("Any", self.drive), LIMITS, self._announce)
+        self.drive_control = DriveControl(cast("Any", self.drive), LIMITS, self._announce)
         self.devices = {"autopilot": self.drive, "lidar": object(), "camera": object()}
         self.store, self.mapper, self.view = FakeStore(), FakeMapper(), FakeView()
         self.recorder, self.maps = FakeRecorder(self.store), FakeMaps()
@@ -302,7 +302,7 @@ class FakeStation:
 
     def start(self) -> None:
         self._announce("info", "the robot is ready")
-        self.helm.start()
+        self.drive_control.start()
         threading.Thread(target=self._live, daemon=True).start()
 
     def health(self) -> StationHealth:
@@ -448,7 +448,7 @@ def _serve_troubles(api: FastAPI, station: FakeStation) -> None:
 
     @api.get("/fake/hinder")
     def hinder(why: str = "") -> None:
-        station.drive.hindrance = why
+        station.drive.blockage = why
 
     @api.get("/fake/begin")
     def begin() -> None:
@@ -465,11 +465,11 @@ def serve(port: int, *, tour: bool, replay: bool) -> None:
 
     @api.get("/fake/state")
     def state() -> dict[str, Any]:
-        helm, drive = station.helm.state(), station.drive
+        drive_control, drive = station.drive_control.state(), station.drive
         return {
             "told": drive.told, "faults": station.faults, "stops": drive.stops, "releases": drive.releases,
-            "driver": helm.name, "stopped": helm.stopped, "speed": helm.speed,
-            "turn_rate": helm.turn_rate, "latencies": page.latencies().tolist(),
+            "driver": drive_control.name, "stopped": drive_control.stopped, "speed": drive_control.speed,
+            "turn_rate": drive_control.turn_rate, "latencies": page.latencies().tolist(),
             "player": [player.state, player.speed, player.steps], "starts": station.mapper.starts,
             "hints": station.hints,
             "recording": station.recorder.status().active, "logs": [log.name for log in station.store.kept],
@@ -494,10 +494,10 @@ def serve(port: int, *, tour: bool, replay: bool) -> None:
     def reset() -> None:
         """Reset everything but the map."""
         sessions.reset()
-        station.helm.leave(station.helm.state().driver or "")
-        station.helm.take("reset", "reset")
-        station.helm.release("reset")
-        station.helm.leave("reset")
+        station.drive_control.leave(station.drive_control.state().driver or "")
+        station.drive_control.take("reset", "reset")
+        station.drive_control.release("reset")
+        station.drive_control.leave("reset")
         station.events[:] = [Event(now(), "info", "robot", "the robot is ready")]
         station.drive.told.clear()
         station.drive.stops = station.drive.releases = station.mapper.starts = 0

@@ -1,4 +1,4 @@
-"""The drive panel: the helm, commands, and everything that must stop the robot."""
+"""The drive panel: drive control, commands, and everything that must stop the robot."""
 
 import math
 import time
@@ -136,7 +136,7 @@ def test_keys_drive_where_no_text_is_written(browser, robot):
 
 @pytest.mark.browser
 @pytest.mark.parametrize("leave", ["blur", "pagehide", "visibilitychange"])
-def test_leaving_a_page_leaves_the_helm_at_once(browser, robot, leave):
+def test_leaving_a_page_releases_control_at_once(browser, robot, leave):
     with visit(browser, robot) as watched:
         page = watched.page
         take(page)
@@ -229,7 +229,7 @@ def test_two_pages_of_one_login_do_not_drive_at_once(browser, robot):
 
 
 @pytest.mark.browser
-def test_a_session_that_ends_leaves_the_helm_and_commands_no_more(browser, robot):
+def test_a_session_that_ends_releases_control_and_commands_no_more(browser, robot):
     with visit(browser, robot) as watched:
         page = watched.page
         take(page)
@@ -297,7 +297,7 @@ def test_an_ended_session_cannot_command(browser, robot):
 
 
 @pytest.mark.browser
-def test_a_lost_link_is_shown_and_leaves_the_helm(browser, robot):
+def test_a_lost_link_is_shown_and_leaves_the_drive_control(browser, robot):
     with visit(browser, robot) as watched:
         page = watched.page
         take(page)

@@ -187,7 +187,7 @@ def test_the_page_follows_the_theme_of_the_system_until_it_is_switched(browser, 
 
 @pytest.mark.browser
 @pytest.mark.parametrize("who", ["driver", "watcher"])
-def test_logging_out_ends_the_session_and_leaves_the_helm(browser, robot, who):
+def test_logging_out_ends_the_session_and_leaves_the_drive_control(browser, robot, who):
     with visit(browser, robot, who) as watched:
         page = watched.page
         if who == "driver":

@@ -79,7 +79,7 @@ class Bench:
         self.at.sort(key=lambda pair: pair[0])
 
     def drive_on(self, speed, turn_rate, seconds):
-        """Command as the helm does, every 0.05 s."""
+        """Command as drive control does, every 0.05 s."""
         for delay in np.arange(0.0, seconds, 0.05):
             self.later(delay, lambda: self.driver.drive(speed, turn_rate))
 

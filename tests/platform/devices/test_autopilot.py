@@ -365,13 +365,13 @@ def test_changed_flags_are_notified(bench):
 def test_wheels_that_stand_although_the_robot_is_driven_are_reported(bench):
     seen = {}
     for moment in (2.5, 4.5, 6.5, 8.0):
-        bench.later(moment, lambda moment=moment: seen.update({moment: bench.driver.hindrance}))
+        bench.later(moment, lambda moment=moment: seen.update({moment: bench.driver.blockage}))
     bench.later(3.0, lambda: setattr(bench.vehicle, "blocked", True))
     bench.later(5.0, lambda: setattr(bench.vehicle, "blocked", False))
     bench.later(7.0, lambda: setattr(bench.vehicle, "blocked", True))  # it is not driven any more
     bench.drive_on(0.2, 0.3, 7.0)
     bench.run(9.0)
-    assert {moment for moment, hindrance in seen.items() if hindrance} == {4.5}
+    assert {moment for moment, blockage in seen.items() if blockage} == {4.5}
     assert "the robot is blocked" in seen[4.5]
     assert [text for text in bench.events if "are driven" in text] == [seen[4.5]]
 
@@ -379,7 +379,7 @@ def test_wheels_that_stand_although_the_robot_is_driven_are_reported(bench):
 def test_motors_that_stall_are_a_hindrance(bench):
     bench.vehicle.stalled = (False, True)
     bench.run(1.0)
-    assert bench.driver.hindrance == "right motor stalls"
+    assert bench.driver.blockage == "right motor stalls"
 
 
 def test_a_clock_jump_is_notified_and_tracked(bench):

@@ -66,7 +66,7 @@ def test_a_part_that_fails_to_stop_does_not_block_the_others(folder, monkeypatch
     def fail():
         raise ZeroDivisionError("oops")
 
-    monkeypatch.setattr(robot.helm, "stop", fail)
+    monkeypatch.setattr(robot.drive_control, "stop", fail)
     with pytest.raises(ZeroDivisionError):
         robot.stop()
     assert not robot.health().recording.active

@@ -10,7 +10,7 @@ from impslam.platform.console.drive_pad import DrivePad, pad_command
 from impslam.platform.console.stop_button import StopButton
 from impslam.platform.console.viewer import Viewer
 from impslam.platform.console.widgets import button, card, line, show, text
-from impslam.platform.station.helm import HelmState
+from impslam.platform.station.drive_control import DriveControlState
 from impslam.platform.station.station import Station
 
 
@@ -38,7 +38,7 @@ class DrivePanel:
 
     def update(self) -> None:
         """Show who drives, and whether the robot is stopped."""
-        state = self._station.helm.state()
+        state = self._station.drive_control.state()
         may, mine = self._viewer.session.may_drive, state.driver == self._viewer.driver
         same = state.name == self._viewer.session.name
         self._who.text = self._driver_text(state, mine=mine, same=same)
@@ -53,10 +53,10 @@ class DrivePanel:
 
     def leave(self) -> None:
         """Release control, as the page is gone, or its session has ended."""
-        self._station.helm.leave(self._viewer.driver)
+        self._station.drive_control.leave(self._viewer.driver)
 
     @staticmethod
-    def _driver_text(state: HelmState, *, mine: bool, same: bool) -> str:
+    def _driver_text(state: DriveControlState, *, mine: bool, same: bool) -> str:
         if state.driver is None:
             return "Nobody drives"
         who = "You drive" if mine or same else f"{state.name} drives"
@@ -67,7 +67,7 @@ class DrivePanel:
 
     def _on_take(self) -> None:
         session = self._viewer.session
-        self._viewer.do(lambda: self._station.helm.take(self._viewer.driver, session.name))
+        self._viewer.do(lambda: self._station.drive_control.take(self._viewer.driver, session.name))
         self.update()
 
     def _on_leave(self) -> None:
@@ -75,17 +75,19 @@ class DrivePanel:
         self.update()
 
     def _on_release(self) -> None:
-        self._viewer.do(lambda: self._station.helm.release(self._viewer.driver))
+        self._viewer.do(lambda: self._station.drive_control.release(self._viewer.driver))
         self.update()
 
     def _on_command(self, event: GenericEventArguments) -> None:
-        """Pass a command to the helm; a browser may send it even if the page shows no pad."""
+        """Pass a command to drive control; a browser may send it even if the page shows no pad."""
         command = pad_command(event.args)
         if command is None or self._viewer.refused():
             return
         forward, left, late = command
         speed, turn_rate = self._station.limits
         try:
-            self._station.helm.drive(self._viewer.driver, forward * speed, left * turn_rate, late)
+            self._station.drive_control.drive(
+                self._viewer.driver, forward * speed, left * turn_rate, late
+            )
         except ImpError:
             self.update()  # someone else has control by now: show it

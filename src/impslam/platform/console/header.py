@@ -62,7 +62,7 @@ class Header:
     @staticmethod
     def _on_stop(station: Station | None, viewer: Viewer) -> None:
         assert station is not None
-        viewer.do(lambda: station.helm.emergency_stop(viewer.session.name), driving=False)
+        viewer.do(lambda: station.drive_control.emergency_stop(viewer.session.name), driving=False)
 
 
 def _logout() -> None:

@@ -66,8 +66,10 @@ class RobotPanels:
     def slow(self) -> list[str]:
         """Update all other panels, and return the alarms of the robot."""
         health = self._feed.health()
-        helm = self._station.helm.state()
-        self._header.update(health.recording, f"{helm.name} drives" if helm.driver else "")
+        drive_control = self._station.drive_control.state()
+        self._header.update(
+            health.recording, f"{drive_control.name} drives" if drive_control.driver else ""
+        )
         self._record.update(health.recording)
         self._mapping.update(health.mapping)
         self._health.update(health)
@@ -78,14 +80,14 @@ class RobotPanels:
         self._count += 1
         devices = self._station.devices.items()
         drives = {name for name, device in devices if isinstance(device, DriveDevice)}
-        return alarms(health, helm.hindrance, drives)
+        return alarms(health, drive_control.blockage, drives)
 
     def leave(self) -> None:
         """Release control."""
         self._drive.leave()
 
 
-def alarms(health: StationHealth, hindrance: str, drives: Collection[str]) -> list[str]:
+def alarms(health: StationHealth, blockage: str, drives: Collection[str]) -> list[str]:
     """Return what the driver must know, whatever panel is open.
 
     A lost drive device comes first, since it cannot be stopped; then other lost devices, why the robot does
@@ -94,14 +96,14 @@ def alarms(health: StationHealth, hindrance: str, drives: Collection[str]) -> li
     Parameters
     ----------
     health : of the robot
-    hindrance : why the robot does not move as it is driven, "" if it does
+    blockage : why the robot does not move as it is driven, "" if it does
     drives : names of the drive devices
     """
     lost = [name for name, one in health.devices.items() if one.state == "lost"]
     lost.sort(key=lambda name: name not in drives)
     found = [f"{name} lost: {health.devices[name].detail}" for name in lost]
-    if hindrance:
-        found.append(hindrance[:1].upper() + hindrance[1:])
+    if blockage:
+        found.append(blockage[:1].upper() + blockage[1:])
     if health.mapping.state == "failed":
         found.append(f"Mapping has failed: {health.mapping.detail}")
     if health.recording.error and not health.recording.active:

@@ -21,7 +21,7 @@ class Session:
 
     Attributes
     ----------
-    id : identifies the session, e.g. for the helm; not secret, and not accepted as a token
+    id : identifies the session, e.g. for drive control; not secret, and not accepted as a token
     name : name on the page: "driver 1", "watcher 2"
     may_drive : whether it may change anything, or only watch
     address : address of the login

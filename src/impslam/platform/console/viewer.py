@@ -28,7 +28,7 @@ class Viewer:
     ----------
     session : the login
     client : the open page
-    driver : id of this page for the helm, so that two pages of a session do not drive at once
+    driver : id of this page for drive control, so that two pages of a session do not drive at once
     """
 
     def __init__(self, session: Session, client: Client) -> None:

@@ -125,8 +125,8 @@ class Autopilot(DriveDevice):
         return bool(self._state.flags & Flag.STOPPED) and not self._link.releasing
 
     @property
-    def hindrance(self) -> str:
-        """Which motors stall, or that the wheels stand; see `DriveDevice.hindrance`."""
+    def blockage(self) -> str:
+        """Which motors stall, or that the wheels stand; see `DriveDevice.blockage`."""
         flags = self._state.flags
         stalls = [_FLAGS[f][1] for f in (Flag.STALL_LEFT, Flag.STALL_RIGHT) if flags & f]
         return ", ".join(stalls) or (_STANDS if self._state.watch.stands else "")

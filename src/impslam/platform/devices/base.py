@@ -240,7 +240,7 @@ class DriveDevice(Device):
         return False
 
     @property
-    def hindrance(self) -> str:
+    def blockage(self) -> str:
         """Why the robot does not move as it is driven, in one line; "" if it does, or is not known."""
         return ""
 

@@ -14,7 +14,7 @@ from impslam.errors import ImpError
 from impslam.observers.live_view import LiveView
 from impslam.platform.devices.base import Device, DeviceHealth, DriveDevice, Reading, event, now
 from impslam.platform.station.continued_map import load_continued_map
-from impslam.platform.station.helm import Helm
+from impslam.platform.station.drive_control import DriveControl
 from impslam.platform.station.log_store import LogStore
 from impslam.platform.station.map_keeper import MapKeeper
 from impslam.platform.station.map_store import MapStore
@@ -37,7 +37,7 @@ class StationHealth:
 
 
 class Station:
-    """Connects the devices, the recorder, the live map and the helm.
+    """Connects the devices, the recorder, the live map and drive control.
 
     Parameters
     ----------
@@ -63,7 +63,9 @@ class Station:
         self.view = LiveView()
         self.mapper = LiveMapper(config, self.view)
         drives = [device for device in devices.values() if isinstance(device, DriveDevice)]
-        self.helm = Helm(drives[0] if drives else None, limits, self._notify, self._record_command)
+        self.drive_control = DriveControl(
+            drives[0] if drives else None, limits, self._notify, self._record_command
+        )
         maps = folder / "maps"
         self.keeper = MapKeeper(self.mapper, maps, self._notify)
         self.maps = MapStore(maps, lambda: self.keeper.name)
@@ -73,7 +75,7 @@ class Station:
 
     def start(self) -> None:
         """Start everything but recording and mapping."""
-        self.helm.start()
+        self.drive_control.start()
         self.mapper.warm_up()
         self.keeper.start()
         for device in self.devices.values():
@@ -103,7 +105,7 @@ class Station:
             parts.callback(self.recorder.stop)
             for device in reversed(list(self.devices.values())):
                 parts.callback(device.stop)
-            parts.callback(self.helm.stop)
+            parts.callback(self.drive_control.stop)
 
     def start_mapping(self) -> None:
         """Save the present map and begin a new one, with the robot at its origin."""
@@ -149,7 +151,7 @@ class Station:
     def _record_command(self, speed: float, turn_rate: float) -> None:
         """Record a drive command, but keep it from the mapper: it is not odometry."""
         moment = now()
-        self.recorder.put(Reading(Velocity(moment, speed, turn_rate), moment, "helm"))
+        self.recorder.put(Reading(Velocity(moment, speed, turn_rate), moment, "drive_control"))
 
     def _notify(self, level: str, text: str) -> None:
         """Log an event of the robot as a whole, and show it on the page."""

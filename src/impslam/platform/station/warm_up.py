@@ -1,7 +1,7 @@
 """Compile the kernels of the estimator before the first scan, in a process of their own.
 
 Numba compiles a kernel at its first call: on a fresh machine, this takes a minute or two in total,
-mostly with Python's global lock held, and would stall devices and the helm repeatedly for tenths of a
+mostly with Python's global lock held, and would stall devices and drive control repeatedly for tenths of a
 second. So a low-priority process maps a simulated drive with the same config; this process then loads
 the compiled kernels from the disk in less than a second.
 """

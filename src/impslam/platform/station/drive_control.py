@@ -1,6 +1,6 @@
-"""The helm: one driver at a time, a timeout of commands, and the emergency stop.
+"""Drive control: one driver at a time, a timeout of commands, and the emergency stop.
 
-A command is valid for `COMMAND_TIMEOUT`; after that, the helm commands zero speed. The
+A command is valid for `COMMAND_TIMEOUT`; after that, drive control commands zero speed. The
 micro-controller stops by itself 0.2 s later if even that does not reach it. Anyone can trigger the
 emergency stop; it overrides all commands until the driver releases it.
 """
@@ -18,17 +18,17 @@ from impslam.platform.devices.base import DriveDevice, now
 log = logging.getLogger(__name__)
 
 COMMAND_TIMEOUT = 0.3  # s; a page sends ten commands a second, so two may be lost
-HANG_TIMEOUT = 5.0  # s without a command sent: the helm hangs; twice a port's longest write
+HANG_TIMEOUT = 5.0  # s without a command sent: drive control hangs; twice a port's longest write
 PERIOD = 0.05  # s between commands to the device: six within COMMAND_TIMEOUT
 
 
-class HelmError(ImpError):
+class DriveControlError(ImpError):
     """A refused command; the message says what to do."""
 
 
 @dataclass(frozen=True, slots=True)
-class HelmState:
-    """The public state of the helm.
+class DriveControlState:
+    """The public state of drive control.
 
     Attributes
     ----------
@@ -36,7 +36,7 @@ class HelmState:
     name : the driver's name on the page, "" if nobody drives
     stopped : why the emergency stop is active, "" if it is not
     speed, turn_rate : m/s and rad/s, the present command to the device
-    hindrance : why the robot does not move as it is driven, "" if it does
+    blockage : why the robot does not move as it is driven, "" if it does
     """
 
     driver: str | None
@@ -44,10 +44,10 @@ class HelmState:
     stopped: str
     speed: float
     turn_rate: float
-    hindrance: str = ""
+    blockage: str = ""
 
 
-class Helm:
+class DriveControl:
     """Forwards the commands of one driver to the drive device, as long as they keep coming.
 
     Parameters
@@ -74,7 +74,7 @@ class Helm:
         self._sent_command = (0.0, 0.0)
         self._sent_at = now()
         self._closing = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="helm", daemon=True)
+        self._thread = threading.Thread(target=self._run, name="drive_control", daemon=True)
 
     def start(self) -> None:
         """Start to send commands to the device."""
@@ -91,14 +91,18 @@ class Helm:
 
         Raises
         ------
-        HelmError
+        DriveControlError
             If someone else drives.
         """
         with self._lock:
             if self._device is None:
-                raise HelmError("this robot has no drive; add a drive device to the robot file")
+                raise DriveControlError(
+                    "this robot has no drive; add a drive device to the robot file"
+                )
             if self._driver is not None and driver != self._driver[0] and name != self._driver[1]:
-                raise HelmError(f"{self._driver[1]} is driving; ask them to release control")
+                raise DriveControlError(
+                    f"{self._driver[1]} is driving; ask them to release control"
+                )
             changed = self._driver is None
             if self._driver != (driver, name):
                 self._driver, self._command = (driver, name), (0.0, 0.0)
@@ -127,14 +131,14 @@ class Helm:
 
         Raises
         ------
-        HelmError
+        DriveControlError
             If it is not from the driver, or not finite; the previous command then stays valid.
         """
         if not (abs(speed) < float("inf") and abs(turn_rate) < float("inf")):
-            raise HelmError(f"a command of {speed} m/s and {turn_rate} rad/s is not finite")
+            raise DriveControlError(f"a command of {speed} m/s and {turn_rate} rad/s is not finite")
         with self._lock:
             if self._driver is None or self._driver[0] != driver:
-                raise HelmError("take control before you drive")
+                raise DriveControlError("take control before you drive")
             if age >= COMMAND_TIMEOUT:
                 return
             self._command = _clipped(speed, self._limits[0]), _clipped(turn_rate, self._limits[1])
@@ -147,7 +151,7 @@ class Helm:
             changed = not self._stopped
             self._stopped = f"emergency stop by {by}"
             self._command = (0.0, 0.0)
-            # Within the lock, so that device and helm agree if a release comes at the same time.
+            # Within the lock, so that device and drive_control agree if a release comes at the same time.
             if self._device is not None:
                 self._device.emergency_stop()
         if changed:
@@ -158,12 +162,12 @@ class Helm:
 
         Raises
         ------
-        HelmError
+        DriveControlError
             If it is not from the driver.
         """
         with self._lock:
             if self._driver is None or self._driver[0] != driver:
-                raise HelmError("take control before you release the emergency stop")
+                raise DriveControlError("take control before you release the emergency stop")
             changed = bool(self._stop_reason())
             self._stopped, self._command = "", (0.0, 0.0)
             name = self._driver[1]
@@ -172,13 +176,13 @@ class Helm:
         if changed:
             self._notify("info", f"emergency stop released by {name}")
 
-    def state(self) -> HelmState:
+    def state(self) -> DriveControlState:
         """Return who drives and the present command."""
         with self._lock:
             driver, name = self._driver or (None, "")
-            hindrance = "" if self._device is None else self._device.hindrance
+            blockage = "" if self._device is None else self._device.blockage
             command = self._current_command()
-            return HelmState(driver, name, self._stop_reason(), *command, hindrance)
+            return DriveControlState(driver, name, self._stop_reason(), *command, blockage)
 
     def _stop_reason(self) -> str:
         """Return why the robot is stopped; the device may hold a stop from before this program ran."""
@@ -200,7 +204,7 @@ class Helm:
             try:
                 self._send()
             except Exception:  # a bug; if it persists, the watchdog notices
-                log.exception("helm")
+                log.exception("drive_control")
             else:
                 self._sent_at = now()
         if self._device is not None:

@@ -4,7 +4,7 @@
     python -m benchmarks.buildings --data ../shared/data intel      # only this log
 
 Errors are those of manually verified relations (Kümmerle et al. 2009); local ones span at most 60 s. A
-loop closure is false if the settled poses differ from it by more than 0.5 m or 5 degrees. Times are CPU
+loop closure is false if the refined poses differ from it by more than 0.5 m or 5 degrees. Times are CPU
 times of one core: for a scan, in batches of one row and with all processing; for the command, in a process
 of its own, with all files written and compiled code loaded from the cache.
 """

@@ -4,7 +4,7 @@
 
 Every accepted closure is checked against: manually verified relations (Kümmerle et al. 2009), if one joins
 the same two passes within `MAX_GAP` m of driving at both ends; an exhaustive search for the best pose with
-any heading within `WINDOW` m; and the settled poses. If it differs by more than 0.5 m or 5 degrees from the
+any heading within `WINDOW` m; and the refined poses. If it differs by more than 0.5 m or 5 degrees from the
 relation or from the best pose, free space decides: the closure is false if free space agrees with the other
 pose at least as well. Rooms and corridors look alike, and a reference may be distorted.
 """
@@ -50,7 +50,7 @@ class Check(NamedTuple):
     ----------
     i, j : the keyframes
     pose : (3,) T_i_j as closed
-    relation, settled, found : (3,) differences of the closure from the relation, from the settled poses,
+    relation, refined, found : (3,) differences of the closure from the relation, from the refined poses,
         and from the best pose of the search
     scores : of the closure's own pose and of that best one
     agreements : with free space, of both, and of the pose by the relation
@@ -60,7 +60,7 @@ class Check(NamedTuple):
     j: int
     pose: Array
     relation: Array
-    settled: Array
+    refined: Array
     found: Array
     scores: tuple[float, float]
     agreements: tuple[float, float, float]
@@ -96,7 +96,7 @@ def mapped(log: Path) -> tuple[Run, Map, list[float]]:
         for batch in source.batches():
             run.feed(batch)
     run.flush()
-    return run, run.settled(), attempts
+    return run, run.refined(), attempts
 
 
 def checks(run: Run, known: Map, relations: Array) -> list[Check]:
@@ -105,10 +105,10 @@ def checks(run: Run, known: Map, relations: Array) -> list[Check]:
     poses, edges, out = known.keyframes.poses, known.edges, []
     for k in np.flatnonzero(np.isfinite(edges.kernel)):
         i, j, pose = int(edges.i[k]), int(edges.j[k]), edges.T_i_j[k]
-        settled = between(between(poses[i], poses[j]), pose)
+        refined = between(between(poses[i], poses[j]), pose)
         relation = by_relations(known, keys, i, j, pose, relations)
         other = compose(pose, between(relation, np.zeros(3)))
-        out.append(Check(i, j, pose, relation, settled, *by_search(keys, i, j, pose, other)))
+        out.append(Check(i, j, pose, relation, refined, *by_search(keys, i, j, pose, other)))
     return out
 
 
@@ -117,7 +117,7 @@ def by_relations(
 ) -> Array:
     """Return the difference of a closure from the best relation between its ends; NaN if there is none.
 
-    What lies between an end of the closure and that of the relation is taken from the settled map.
+    What lies between an end of the closure and that of the relation is taken from the refined map.
     """
     order = np.argsort(known.stamps, kind="stable")
     ranks = np.searchsorted(known.stamps[order], relations[:, :2].ravel()).clip(0, len(order) - 1)
@@ -178,7 +178,7 @@ def figures(run: Run, found: Sequence[Check], attempts: Sequence[float]) -> list
         len(found),
         f"{len(covered)} ({max(offs, default='-')} m)",
         sum(c.off for c in found),
-        sum(differs(c.settled) for c in found),
+        sum(differs(c.refined) for c in found),
         sum(c.elsewhere for c in found),
         sum(c.false for c in found),
         f"{np.median(attempts):.1f}",
@@ -187,7 +187,7 @@ def figures(run: Run, found: Sequence[Check], attempts: Sequence[float]) -> list
     ]
 
 
-HEAD = ("log", "tried", "accepted", "with a relation (worst)", "off from it", "off when settled")
+HEAD = ("log", "tried", "accepted", "with a relation (worst)", "off from it", "off when refined")
 HEAD += ("better score elsewhere", "false", "median, ms", "p99", "worst")
 
 

@@ -89,7 +89,7 @@ class Live(Observer):
 
 
 class Result(NamedTuple):
-    """A run: the settled map, health, and the live path with covariances."""
+    """A run: the refined map, health, and the live path with covariances."""
 
     known: Map
     health: Health
@@ -105,7 +105,7 @@ def mapped(config: Config, pairs: Pairs) -> Result:
     poses, covariances = (
         np.concatenate([getattr(r, name) for r in live.rows]) for name in ("poses", "covariances")
     )
-    return Result(run.settled(), run._health.health, poses, covariances)
+    return Result(run.refined(), run._health.health, poses, covariances)
 
 
 def rows_of(sensed: Pairs) -> Pairs:
@@ -162,7 +162,7 @@ class Kidnapping(NamedTuple):
     suspected : whether the first scan after it is not trusted
     seconds : until LOST was said, inf if it never was
     metres : of way until it was found again, inf if it never was
-    off, before : m, the medians of what the settled poses after and before it are off by
+    off, before : m, the medians of what the refined poses after and before it are off by
     entered : scans between the jump and LOST that are in the map
     """
 

@@ -60,22 +60,22 @@ class Variant:
     settings: tuple[str, ...] = ()
     bad: float = 0.0
     seed: int = 0
-    settled: bool = True
+    refined: bool = True
 
 
 def variants() -> Iterator[Variant]:
     """Yield the variants with which each log is mapped, the default first."""
     yield Variant("default")
     yield Variant("one round", ("estimator.rounds=1",))
-    yield Variant("not settled", settled=False)
+    yield Variant("not refined", refined=False)
     for bad in (1.0, 4.0, 8.0, 16.0):
         yield from (Variant(f"odometry x {bad:g}", (), bad, seed) for seed in (1, 2))
     for bad in (0.0, 4.0, 8.0):
         yield Variant(f"no loops, odometry x {bad:g}", (NO_LOOPS,), bad, 3)
-        yield Variant(f"no loops, not settled, x {bad:g}", (NO_LOOPS,), bad, 4, settled=False)
-    yield Variant("dead reckoning", (DEAD, NO_LOOPS), settled=False)
-    yield Variant("dead reckoning x 1", (DEAD, NO_LOOPS), 1.0, 5, settled=False)
-    yield Variant("dead reckoning, settled", (DEAD, NO_LOOPS))
+        yield Variant(f"no loops, not refined, x {bad:g}", (NO_LOOPS,), bad, 4, refined=False)
+    yield Variant("dead reckoning", (DEAD, NO_LOOPS), refined=False)
+    yield Variant("dead reckoning x 1", (DEAD, NO_LOOPS), 1.0, 5, refined=False)
+    yield Variant("dead reckoning, refined", (DEAD, NO_LOOPS))
     yield Variant("dead reckoning, loops", (DEAD,))
     yield Variant("landmarks", ("estimator.kind=landmarks",))
     yield Variant("landmarks, odometry x 1", ("estimator.kind=landmarks",), 1.0, 6)
@@ -97,7 +97,7 @@ def map_log(log: Path, way: Variant) -> Map:
     for batch in perturbed(batches, way.seed, way.bad) if worse else batches:
         run.feed(batch)
     run.flush()
-    return run.settled() if way.settled else run.map()
+    return run.refined() if way.refined else run.map()
 
 
 def degraded(known: Map) -> Iterator[tuple[str, Map]]:

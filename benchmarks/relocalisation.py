@@ -6,7 +6,7 @@
 
 One part of each log is mapped, and scans of the other part are searched in this map. With alternating
 minutes most places are in both parts; with the halves of the building left and right of the median
-keyframe they are not. The truth is the settled map of the whole log. A pose is covered by the map if at
+keyframe they are not. The truth is the refined map of the whole log. A pose is covered by the map if at
 most 30 % of its beams end in unknown space and a scan of the map was taken within 1.5 m; it is outside if
 more than 60 % do. Of simulated buildings with twins, one half is also mapped alone, and scans of the other
 half are searched in it: many look like a place of the map. An answer is correct within 0.3 m and 5 degrees;
@@ -181,7 +181,7 @@ def recorded(log: Path, count: int, seed: int) -> Iterator[Try]:
         name = f"{log.stem}, {how}"
         chosen = part_of(seen.known.keyframes, mapped)
         relocaliser = Relocaliser(chosen)
-        area = relocaliser.ground.area
+        area = relocaliser.search_map.area
         relocaliser.find(seen.view(int(others[0])))  # compiles
         for k in rng.choice(others, count // 2, replace=False).tolist():
             truth, sought = poses[k], seen.view(k)
@@ -223,7 +223,7 @@ def tried(
         finder.remember(sought, np.array([DRIVE_STEP, 0.0, 0.0]), SPREAD)
     what = "scan" if len(scans) == 1 else f"{PATH_LENGTH:g} m"
     place = place_of(relocaliser, known.poses, scans[-1], truth)
-    return Try(name, what, *place, truth, *timed(finder.find), relocaliser.ground.area)
+    return Try(name, what, *place, truth, *timed(finder.find), relocaliser.search_map.area)
 
 
 def table(found: Sequence[Try]) -> str:

@@ -37,7 +37,7 @@ def stopped(log: Path, scans: int) -> Map:
             course.feed(batch)
             if course.scans >= scans:
                 break
-    return course.settled()
+    return course.refined()
 
 
 def error(known: Map, relations: Array) -> float:

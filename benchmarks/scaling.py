@@ -70,12 +70,12 @@ def measure(task: tuple[Path, int]) -> list[float]:
     late = next(k for k, mark in enumerate(marks) if mark[1] >= 0.9 * scans)
     newest = (spent - marks[late][0]) / (scans - marks[late][1])
     begin = time.process_time()
-    known = run.settled()
-    settling = time.process_time() - begin
+    known = run.refined()
+    refining = time.process_time() - begin
     graph = run.estimator._graph  # type: ignore[attr-defined]  # the graph's
     kept = int((known.keyframes.starts[1:] > known.keyframes.starts[:-1]).sum())
     counts = [scans, len(known.keyframes), kept, int((~graph.is_folded).sum()), graph.closures]
-    return [*counts, 1e3 * spent / scans, 1e3 * newest, settling, _peak() - before]
+    return [*counts, 1e3 * spent / scans, 1e3 * newest, refining, _peak() - before]
 
 
 def _named(batch: Batch) -> Iterator[tuple[str, Message]]:
@@ -94,15 +94,15 @@ def main() -> None:
     options.add_argument("--log", default="intel")
     options.add_argument("--times", type=int, nargs="+", default=[1, 2, 4, 8])
     given = options.parse_args()
-    head = "driven|scans|keyframes|kept|nodes|closures|scan, ms|of the last tenth|settling, s|memory, MB"
+    head = "driven|scans|keyframes|kept|nodes|closures|scan, ms|of the last tenth|refining, s|memory, MB"
     print("| " + head.replace("|", " | ") + " |\n|" + "---|" * 10)
     log = given.data / given.log / f"{given.log}.log"
     with get_context("spawn").Pool(1, maxtasksperchild=1) as pool:
         for times in given.times:
-            *counts, mean, last, settling, memory = pool.apply(measure, [(log, times)])
+            *counts, mean, last, refining, memory = pool.apply(measure, [(log, times)])
             numbers = " | ".join(str(count) for count in (times, *counts))
             print(
-                f"| {numbers} | {mean:.3f} | {last:.3f} | {settling:.1f} | {memory:.0f} |",
+                f"| {numbers} | {mean:.3f} | {last:.3f} | {refining:.1f} | {memory:.0f} |",
                 flush=True,
             )
 

@@ -50,7 +50,7 @@ class Outcome:
     def __init__(self, messages):
         run = Run(load("imp", SETTINGS))
         run.play(m for m in messages if not isinstance(m, TruePose))
-        known = run.settled()
+        known = run.refined()
         rows = known.rows()
         health = run.outcome(Path("log"), "", 0).health
         true = {m.stamp: m.pose for m in messages if isinstance(m, TruePose)}

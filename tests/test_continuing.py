@@ -214,7 +214,7 @@ def test_a_session_that_is_too_short_to_be_found_is_kept_apart(drive, whole):
     assert len(known.stamps) == n + 20
     assert len(known.path()) == len(known.odometry()) == len(known.live_path()) == n
     assert not known.keyframes.placed[k:].any()
-    refined = blended(whole.revised(load("default").make_estimator(whole).settle()))
+    refined = blended(whole.revised(load("default").make_estimator(whole).refine()))
     np.testing.assert_array_equal(known.keyframes.poses[:k], refined.keyframes.poses)
     np.testing.assert_array_equal(known.grid().logodds, refined.grid().logodds)
 

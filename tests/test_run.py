@@ -409,7 +409,7 @@ def test_the_outcome_tells_what_the_run_was(bare, tmp_path):
     assert outcome.counts["landmarks"] == len(kept.known.landmarks)
     assert outcome.log_seconds == pytest.approx(bare[-1].stamp - bare[0].stamp, abs=0.2)
     assert outcome.config == load("imp", []).resolved()
-    assert set(outcome.stages) == {"sense", "track", "extract", "estimate", "settle"}
+    assert set(outcome.stages) == {"sense", "track", "extract", "estimate", "refine"}
     assert len(outcome.stages["estimate"]) == len(kept.known.keyframes)
     assert sum(times.sum() for times in outcome.stages.values()) < outcome.wall_seconds
 

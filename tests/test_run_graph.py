@@ -186,7 +186,7 @@ def test_two_threads_give_the_same_folder_as_one(done, log, tmp_path):
 
 @pytest.mark.parametrize("solved", [0, 1])
 def test_a_graph_without_a_solution_is_named_in_the_summary(log, tmp_path, monkeypatch, solved):
-    """It has none from the start, or none any more after the first closure, when it is settled."""
+    """It has none from the start, or none any more after the first closure, when it is refined."""
     solve, calls = PoseGraph.solve, []
 
     def failing(graph):
@@ -198,7 +198,7 @@ def test_a_graph_without_a_solution_is_named_in_the_summary(log, tmp_path, monke
     monkeypatch.setattr(PoseGraph, "solve", failing)
     folder = run(log, tmp_path / "run", *SETTINGS, *DEAD_RECKONED)
     dropped = json.loads((folder / "summary.json").read_text())["dropped"]
-    kind, what = ("settled map", "not in the map") if solved else ("keyframe", "no loop is closed")
+    kind, what = ("refined map", "not in the map") if solved else ("keyframe", "no loop is closed")
     assert what in dropped[kind]["example"]
     assert "no convergence" in dropped[kind]["example"]
     path = read_tum(folder / "trajectory.tum")

@@ -88,11 +88,11 @@ def test_odom_is_map_before_the_first_scan():
 
 def test_the_outcome_counts_loops_and_times_the_refinement(driven):
     run, _, _ = driven
-    known = run.settled()
+    known = run.refined()
     outcome = run.outcome(Path("ring"), "", len(known.landmarks))
     closures = int(np.isfinite(known.edges.kernel).sum())
     assert outcome.counts["loops closed"] == closures
     assert outcome.counts["loops tried"] >= closures
     assert outcome.counts["landmarks"] == len(known.landmarks)
-    assert len(outcome.stages["settle"]) == 1
+    assert len(outcome.stages["refine"]) == 1
     assert not outcome.lidar_alone

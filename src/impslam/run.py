@@ -263,17 +263,17 @@ class Run:
         seen = self.estimator.observations()[: len(known.keyframes)]
         return completed(replace(known, observations=seen), self.estimator)
 
-    def settled(self) -> Map:
+    def refined(self) -> Map:
         """Return the map with all keyframes refined jointly, which may take seconds."""
-        with self.clock("settle"):
-            revision = self.estimator.settle()
+        with self.clock("refine"):
+            revision = self.estimator.refine()
         if revision is not None and revision.refused:
-            self.problems.add("settled map", revision.refused)
+            self.problems.add("refined map", revision.refused)
         known = self.map()
         return known if revision is None else blended(known.revised(revision))
 
     def draft(self, log: Path) -> Callable[[], tuple[Map, Outcome]]:
-        """Return a function that computes the settled map as of now, and the facts of the run so far.
+        """Return a function that computes the refined map as of now, and the facts of the run so far.
 
         This takes milliseconds. The returned function may take seconds, and may be called in another
         thread while the run continues. The run itself does not change.
@@ -313,7 +313,7 @@ class Run:
         self._refuse_empty(source)
         self.tracker.forget()
         with self.salvaging(source):
-            known = self.settled()
+            known = self.refined()
         self._report_pending(source, known)
         return self._finish_observers(source, known)
 
@@ -348,9 +348,9 @@ class Run:
             raise
 
     def _salvaged(self) -> Map:
-        """Return the settled map, or as much of it as possible if that fails or is interrupted."""
+        """Return the refined map, or as much of it as possible if that fails or is interrupted."""
         with suppress(Exception, Interrupted):
-            return self.settled()
+            return self.refined()
         with suppress(Exception):
             known = self.map()
             inside = np.maximum(known.edges.i, known.edges.j) < len(known.keyframes)
@@ -418,13 +418,13 @@ def _finished(
 ) -> tuple[Map, Outcome]:
     """Return the map with the refined poses and landmarks of an estimate, and the facts of the run."""
     begin = time.perf_counter()
-    revision = estimate.settle()
-    stages = {**outcome.stages, "settle": np.array([time.perf_counter() - begin])}
+    revision = estimate.refine()
+    stages = {**outcome.stages, "refine": np.array([time.perf_counter() - begin])}
     unused = dict(outcome.dropped)
     if revision is not None:
         known = blended(known.revised(revision))
         if revision.refused:
-            unused["settled map"] = Dropped(1, revision.refused)
+            unused["refined map"] = Dropped(1, revision.refused)
     known = completed(known, estimate)
     counts = {**outcome.counts, "landmarks": len(known.landmarks)}
     outcome = replace(outcome, counts=counts, stages=stages, dropped=unused)

@@ -239,7 +239,7 @@ class Slam:
         before = self._run.scans
         self._run.flush()
         self._report_progress(before)
-        return self._run.settled()
+        return self._run.refined()
 
 
 class _Newest(Observer):

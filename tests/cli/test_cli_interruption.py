@@ -106,17 +106,17 @@ def test_a_signal_leaves_a_complete_folder_of_a_partial_run(
 def test_a_signal_ends_the_refinement_and_keeps_the_map_before_it(room, tmp_path) -> None:
     slow = """
 from impslam.estimators.landmarks import Landmarks
-def settle(self):
-    print("settling", flush=True)
+def refine(self):
+    print("refining", flush=True)
     for _ in range(1200):
         time.sleep(0.05)
         self._checkpoint()
-Landmarks.settle = settle
+Landmarks.refine = refine
 bar.RunBar._advance = lambda self, scans: None
 """
     folder = tmp_path / "run"
     with started("run", room, "-o", folder, "--quiet", more=slow) as process:
-        assert "settling\n" in process.stdout
+        assert "refining\n" in process.stdout
         err = end(process, signal.SIGTERM, 10.0)
     assert process.returncode == 143
     assert err == f"imp: terminated; {folder} contains the map up to here, marked as partial\n"

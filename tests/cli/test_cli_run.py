@@ -68,10 +68,10 @@ def test_output_of_loops_and_of_a_run_without_odometry(imp, room, tmp_path) -> N
     facts = json.loads((tmp_path / "summary.json").read_text())
     assert facts["lidar_alone"]
     assert facts["counts"]["loops closed"] == 0
-    assert facts["time"]["stages_ms"]["settle"]["mean"] > 0.0
+    assert facts["time"]["stages_ms"]["refine"]["mean"] > 0.0
     report = (tmp_path / "report.html").read_text()
     assert "by the lidar alone" in report
-    assert "<td>settle</td>" in report
+    assert "<td>refine</td>" in report
     assert ">Loops<" in report
 
 

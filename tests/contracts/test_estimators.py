@@ -75,12 +75,12 @@ def test_a_drive_without_noise_is_exact(make):
         assert np.abs(np.array(points) - centre).max(axis=1).min() < 1e-9
 
 
-@pytest.mark.parametrize("settle", [False, True])
-def test_the_joint_covariance_is_that_of_the_landmarks_in_their_order(make, settle):
+@pytest.mark.parametrize("refine", [False, True])
+def test_the_joint_covariance_is_that_of_the_landmarks_in_their_order(make, refine):
     made = make()
     run(made, 12, np.random.default_rng(4))
-    if settle:
-        made.settle()
+    if refine:
+        made.refine()
     joint, found = made.landmark_covariance(), made.landmarks()
     assert [mark.id for mark in found] == sorted(mark.id for mark in found)
     assert joint.shape in {(0, 0), (2 * len(found),) * 2}

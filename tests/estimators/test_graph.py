@@ -71,7 +71,7 @@ def test_without_closures_the_ends_do_not_meet(frames):
     revisions = driven(made, frames)
     assert many(revisions) == []
     assert errors(newest(revisions)).max() > 1.3
-    assert errors(made.settle().poses).max() > 1.0
+    assert errors(made.refine().poses).max() > 1.0
 
 
 def test_a_closure_revises_all_keyframes_and_the_ends_meet(closed):
@@ -88,9 +88,9 @@ def test_a_closure_revises_all_keyframes_and_the_ends_meet(closed):
     assert errors(revisions[last].poses, TRUTH[: last + 1]).max() < 0.25
 
 
-def test_settled_poses_are_within_centimetres(closed):
+def test_refined_poses_are_within_centimetres(closed):
     made, _ = closed
-    done = made.settle()
+    done = made.refine()
     assert done.ids.tolist() == list(range(len(TRUTH)))
     assert errors(done.poses).max() < 0.06
     assert np.abs(wrapped(done.poses - TRUTH, 2)[:, 2]).max() < 0.01
@@ -103,7 +103,7 @@ def test_a_drive_that_ends_where_it_began_is_closed_at_its_end(frames, closed):
     made = begun(TRUTH[0])
     driven(made, frames[:k])
     assert made.counts()["loops closed"] == made._graph.closures == 0
-    assert errors(made.settle().poses, TRUTH[:k]).max() < 0.1
+    assert errors(made.refine().poses, TRUTH[:k]).max() < 0.1
     counts = made.counts()
     assert counts["loops closed"] == np.isfinite(made.edges().kernel).sum() > 0
     assert counts["loops tried"] >= counts["loops closed"], "those of the newest node count, too"
@@ -117,7 +117,7 @@ def test_covariances_shrink_with_a_closure_and_cover_the_errors(closed):
     k = many(revisions)[0]
     before = revisions[k - 1].covariances[-1]
     assert np.trace(revisions[k].covariances[-1]) < 0.2 * np.trace(before)
-    done = made.settle()
+    done = made.refine()
     assert (np.linalg.eigvalsh(done.covariances) > 0.0).all()
     # The farthest keyframes, half a lap from the start, are the least sure.
     farthest = int(np.argmax(done.covariances[:, 0, 0] + done.covariances[:, 1, 1]))
@@ -130,50 +130,50 @@ def test_a_rigid_motion_of_the_start_moves_the_whole_run(frames, closed):
     other = begun(compose(motion, TRUTH[0]))
     moved = driven(other, frames)
     assert many(moved) == many(closed[1])
-    poses = compose(motion, closed[0].settle().poses)
-    assert np.abs(wrapped(other.settle().poses - poses, 2)).max() < 2e-3  # grids lie otherwise
+    poses = compose(motion, closed[0].refine().poses)
+    assert np.abs(wrapped(other.refine().poses - poses, 2)).max() < 2e-3  # grids lie otherwise
 
 
 def test_the_same_keyframes_give_the_same_bytes(frames, closed):
     made = begun(TRUTH[0])
     assert [told(r) for r in driven(made, frames)] == [told(r) for r in closed[1]]
-    assert told(made.settle()) == told(closed[0].settle())
+    assert told(made.refine()) == told(closed[0].refine())
 
 
-def test_settling_does_not_affect_later_keyframes(frames, closed):
-    """Settled and asked for landmarks after every third keyframe, before and after closures."""
+def test_refining_does_not_affect_later_keyframes(frames, closed):
+    """Refined and asked for landmarks after every third keyframe, before and after closures."""
     made, revisions = begun(TRUTH[0]), []
     for k, frame in enumerate(frames):
         revisions.append(made.add(frame))
         if k % 3 == 0 and (k < 9 or k > 150):
-            one, two = made.settle(), made.settle()
+            one, two = made.refine(), made.refine()
             assert told(one) == told(two)
             made.landmarks()
     assert [told(r) for r in revisions] == [told(r) for r in closed[1]]
-    assert told(made.settle()) == told(closed[0].settle())
+    assert told(made.refine()) == told(closed[0].refine())
 
 
-def test_settling_a_draft_changes_nothing_in_the_graph_that_has_gone_on(frames):
+def test_refining_a_draft_changes_nothing_in_the_graph_that_has_gone_on(frames):
     made = begun(TRUTH[0])
     driven(made, frames[:150])
     draft = made.draft()
     driven(made, frames[150:])
-    edges, settled = made.edges(), made.settle().poses
-    draft.settle()
+    edges, refined = made.edges(), made.refine().poses
+    draft.refine()
     assert draft.edges().i.max() < 150
     for now, before in zip(made.edges(), edges, strict=True):
         assert now.tobytes() == before.tobytes()
-    assert made.settle().poses.tobytes() == settled.tobytes()
+    assert made.refine().poses.tobytes() == refined.tobytes()
 
 
-def test_the_edges_of_a_settled_draft_contain_its_last_closures(frames):
+def test_the_edges_of_a_refined_draft_contain_its_last_closures(frames):
     made = begun(TRUTH[0])
     revisions = driven(made, frames)
     first = many(revisions)[0]
     made = begun(TRUTH[0])
     driven(made, frames[:first])  # the closure waits for the next node
     draft = made.draft()
-    assert draft.settle() is not None
+    assert draft.refine() is not None
     assert len(draft.edges().i) > len(made.edges().i)
 
 
@@ -200,7 +200,7 @@ def test_an_exact_drive_stays_exact():
     assert many(revisions) == []
     assert made._graph.closures > 0
     assert errors(newest(revisions)).max() < 1e-9
-    assert errors(made.settle().poses).max() < 2e-3
+    assert errors(made.refine().poses).max() < 2e-3
 
 
 def test_a_stationary_robot_adds_no_nodes():
@@ -208,7 +208,7 @@ def test_a_stationary_robot_adds_no_nodes():
     made = begun(TRUTH[0])
     driven(made, [keyframe(k, np.zeros(3), scan) for k in range(40)])
     assert made.state_size == 3
-    assert errors(made.settle().poses, np.tile(TRUTH[0], (40, 1))).max() < 1e-6
+    assert errors(made.refine().poses, np.tile(TRUTH[0], (40, 1))).max() < 1e-6
 
 
 def test_a_robot_that_turns_on_the_spot_closes_no_loop_with_itself():
@@ -216,7 +216,7 @@ def test_a_robot_that_turns_on_the_spot_closes_no_loop_with_itself():
     made = begun((3.0, 1.25, 0.0))
     turn = [keyframe(k, [0.0, 0.0, 0.3 * (k > 0)], scan) for k, scan in enumerate(scans)]
     driven(made, turn)
-    poses = made.settle().poses
+    poses = made.refine().poses
     assert np.hypot(*(poses[:, :2] - [3.0, 1.25]).T).max() < 0.02
 
 
@@ -272,7 +272,7 @@ def test_identical_rooms_are_not_confused(apart, loops):
     revisions = driven(made, keyframes(two_rooms(apart), truth))
     assert made._graph.closures > 0
     assert errors(newest(revisions), truth).max() < 0.1
-    assert errors(made.settle().poses, truth).max() < 0.1
+    assert errors(made.refine().poses, truth).max() < 0.1
 
 
 @pytest.mark.parametrize(("loops", "clutter"), [({}, 0), ({}, 1), (WIDE, 0), (WIDE, 1)])
@@ -286,7 +286,7 @@ def test_no_false_closure_enters_the_graph(loops, clutter):
     closures = np.isfinite(edges.kernel)
     i, j = edges.i[closures], edges.j[closures]
     off = wrapped(edges.T_i_j[closures] - between(nodes[i], nodes[j]), 2)
-    assert errors(made.settle().poses, truth).max() < 0.1, "the map moved"
+    assert errors(made.refine().poses, truth).max() < 0.1, "the map moved"
     assert np.einsum("ki,kij,kj->k", off, edges.information[closures], off).max() < 9.0
 
 
@@ -312,7 +312,7 @@ def test_a_graph_without_a_solution_keeps_the_last_one_and_is_reported(frames, m
     assert refused[0].refused == f"no loop is closed at {k:.3f} s: no convergence"
     twin = driven(begun(TRUTH[0], loops=OPEN), frames)
     np.testing.assert_array_equal(refused[0].poses, twin[k].poses)
-    assert errors(made.settle().poses).max() < 0.1  # by the closures that came later
+    assert errors(made.refine().poses).max() < 0.1  # by the closures that came later
 
 
 def test_a_closure_without_a_solution_does_not_block_later_ones(frames, monkeypatch):
@@ -332,7 +332,7 @@ def test_a_closure_without_a_solution_does_not_block_later_ones(frames, monkeypa
         "no loop is closed at 14.000 s: pose graph: edge 2 is not finite"
     ]
     assert len(many(revisions)) >= 1
-    assert errors(made.settle().poses).max() < 0.06
+    assert errors(made.refine().poses).max() < 0.06
 
 
 BAD = Observation("cylinder", np.array([1.0, np.nan]), np.eye(2))
@@ -360,7 +360,7 @@ def test_a_bad_observation_and_a_failure_are_both_reported(frames, closed, monke
     assert "\n" not in refused
 
 
-def test_settling_without_a_solution_keeps_the_last_one(frames, monkeypatch):
+def test_refining_without_a_solution_keeps_the_last_one(frames, monkeypatch):
     made = begun(TRUTH[0])
     driven(made, frames)
 
@@ -368,7 +368,7 @@ def test_settling_without_a_solution_keeps_the_last_one(frames, monkeypatch):
         raise NumericalError("no convergence")
 
     monkeypatch.setattr(PoseGraph, "solve", failing)
-    done = made.settle()
+    done = made.refine()
     assert done.refused == "the last closures are not in the map: no convergence"
     assert errors(done.poses).max() < 0.06
 
@@ -384,7 +384,7 @@ def test_blind_scans_and_missing_ones_break_nothing(frames):
     revisions = driven(made, some)
     assert len(many(revisions)) >= 1
     assert [r.refused for r in revisions] == [""] * len(TRUTH)
-    assert errors(made.settle().poses).max() < 0.3
+    assert errors(made.refine().poses).max() < 0.3
 
 
 # --------------------------------------------------------------------------- landmarks
@@ -403,8 +403,8 @@ def test_each_wall_of_a_noiseless_room_is_one_landmark():
     frames = keyframes(plan, truth, noise=0.0)
     made = begun(truth[0])
     driven(made, [replace(f, observations=tuple(walls_seen(truth[f.id], plan))) for f in frames])
-    for settle in (lambda: None, made.settle):
-        settle()
+    for refine in (lambda: None, made.refine):
+        refine()
         marks = made.landmarks()
         assert [mark.kind for mark in marks] == ["wall"] * 4
         feet = np.array(sorted(mark.position.round(2).tolist() for mark in marks))
@@ -434,8 +434,8 @@ def test_covariances_of_landmarks_include_those_of_the_poses_that_saw_them():
     assert (np.diag(last.covariance)[:2] >= 0.9 * np.diag(P)[:2]).all()
 
 
-def test_without_a_loop_settling_keeps_the_covariances():
+def test_without_a_loop_refining_keeps_the_covariances():
     made = begun(scale_sigma=0.0)  # its part changes with the refined poses
     truth = way(*LAP[:3])
     claimed = [r.covariances[-1] for r in driven(made, keyframes(RING, truth))]
-    np.testing.assert_allclose(made.settle().covariances, claimed, rtol=1e-9, atol=1e-15)
+    np.testing.assert_allclose(made.refine().covariances, claimed, rtol=1e-9, atol=1e-15)

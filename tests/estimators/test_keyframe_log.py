@@ -198,22 +198,22 @@ def test_blind_scans_equal_missing_scans(seen):
 # --------------------------------------------------------------------------- in the estimator
 
 
-def test_without_keyframes_there_is_nothing_to_settle():
+def test_without_keyframes_there_is_nothing_to_refine():
     made = begun()
-    assert made.settle() is None
+    assert made.refine() is None
     assert made.landmarks() == ()
     assert made.state_size == 0
 
 
 @pytest.mark.parametrize("n", [1, 2, 3])
 @pytest.mark.parametrize("sees", [True, False])
-def test_a_run_of_few_keyframes_settles(n, sees):
+def test_a_run_of_few_keyframes_refines(n, sees):
     frames = keyframes(RING, WAY[:n], noise=0.0)
     if not sees:
         frames = [keyframe(k, d) for k, d in enumerate(motions(WAY[:n]))]
     made = begun(WAY[0])
     driven(made, frames)
-    done = made.settle()
+    done = made.refine()
     assert done.ids.tolist() == list(range(n))
     assert apart(done.poses, WAY[:n]) < 2e-3
     assert (np.linalg.eigvalsh(done.covariances) > 0.0).all()
@@ -228,7 +228,7 @@ def test_a_sensor_without_scans_is_mapped_by_what_it_sees():
         for k, (d, pose) in enumerate(zip(motions(truth), truth, strict=True))
     ]
     driven(made, frames)
-    assert apart(made.settle().poses, truth) < 1e-9
+    assert apart(made.refine().poses, truth) < 1e-9
     assert sorted(m.kind for m in made.landmarks()) == ["cylinder"] * 5 + ["wall"] * 4
 
 
@@ -241,7 +241,7 @@ def test_a_keyframe_with_unknown_motion_is_reported_and_the_run_continues(k, wha
     revisions = driven(made, frames)
     assert "not finite" in revisions[k].refused
     assert [r.refused for i, r in enumerate(revisions) if i != k] == [""] * (len(frames) - 1)
-    done = made.settle()
+    done = made.refine()
     assert np.isfinite(done.poses).all()
     assert np.isfinite(done.covariances).all()
     made.landmarks()

@@ -78,7 +78,7 @@ def test_landmark_estimators_add_the_scale_to_what_they_report(kind):
         pytest.importorskip("gtsam")
     angles, way = np.radians(np.arange(-180.0, 180.0)), np.arange(0.0, 8.0, 0.1)
     ranges, stamps = np.array([ranges_in_room(x, angles) for x in way]), 0.2 * np.arange(len(way))
-    live, settled, marks, joints = [], [], [], []
+    live, refined, marks, joints = [], [], [], []
     for sigma in (0.0, 0.02):
         sets = [f"estimator.kind={kind}", f"estimator.scale_sigma={sigma}"]
         slam = Slam("default", ["sensors.lidar.range_max=60", *sets])
@@ -86,12 +86,12 @@ def test_landmark_estimators_add_the_scale_to_what_they_report(kind):
         slam.add_scans(stamps, ranges, angles)
         live.append(slam.covariance)
         known = slam.finish()
-        settled.append(known.rows().covariances[-1])
+        refined.append(known.rows().covariances[-1])
         marks.append({m.id: m for m in known.landmarks})
         joints.append(known.landmark_covariance)
         last = known.rows().poses[-1]
     added = with_scale(np.zeros((1, 3, 3)), last[None], np.zeros(2), 0.02)[0]
-    for found in (live, settled):  # a scan has the scale of the keyframe before it
+    for found in (live, refined):  # a scan has the scale of the keyframe before it
         np.testing.assert_allclose(found[1] - found[0], added, rtol=0.05, atol=1e-6)
     assert marks[0]
     for number, mark in marks[0].items():

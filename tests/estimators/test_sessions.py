@@ -51,7 +51,7 @@ def mapped(made, frames):
         edges=made.edges(),
         observations=made.observations(),
     )
-    return blended(known.revised(made.settle()))
+    return blended(known.revised(made.refine()))
 
 
 def test_keyframes_after_an_unknown_motion_are_not_placed(frames):
@@ -84,7 +84,7 @@ def test_a_closure_joins_a_session_to_the_map(frames):
     T = between(TRUTH[0], TRUTH[keys.nodes[j]])
     assert graph.close(int(i), j, T, FIRM)
     graph.solve()
-    revision = made.settle()
+    revision = made.refine()
     assert np.all(revision.placed)
     assert np.abs(wrapped(revision.poses - TRUTH, 2)).max() < 0.02
     assert revision.covariances[:, 0, 0].max() < 1.0
@@ -113,7 +113,7 @@ def test_a_continued_map_equals_an_uninterrupted_run(stop, tmp_path):
         revision = made.add(frame)
         assert revision.ids.max() == frame.id
         builder.revise(frame, revision)
-    resumed = builder.map().revised(made.settle())
+    resumed = builder.map().revised(made.refine())
     off = wrapped(resumed.keyframes.poses - whole.keyframes.poses, 2)
     assert np.abs(off).max() < 0.01
     assert len(made.landmarks()) == len(whole.landmarks)
@@ -151,7 +151,7 @@ def test_a_session_is_located_in_the_known_area(lap):
     assert np.all(revisions[-1].placed)
     assert made.counts()["sessions"] == 2
     assert made.counts()["sessions not found"] == 0
-    off = np.hypot(*(made.settle().poses - AGAIN)[:, :2].T)
+    off = np.hypot(*(made.refine().poses - AGAIN)[:, :2].T)
     assert off[cut:].max() < 0.15
 
 
@@ -182,7 +182,7 @@ def test_a_robot_that_was_carried_without_notice_is_found_where_the_map_contradi
     assert not any(r.contradicted for r in revisions[:cut])
     assert any(r.contradicted for r in revisions[cut:])
     assert not revisions[-1].contradicted
-    off = np.hypot(*(made.settle().poses - truth)[:, :2].T)
+    off = np.hypot(*(made.refine().poses - truth)[:, :2].T)
     assert off[cut:].max() < 0.1
     assert (
         off[:cut] > 0.1
@@ -224,7 +224,7 @@ def test_the_place_by_odometry_takes_two_closures(lap):
         AGAIN[found, 0] - AGAIN[cut, 0] < 3.5 * made.spacing
     )  # m; its third node follows the second
     assert not revisions[-1].assumed
-    off = np.hypot(*(made.settle().poses - AGAIN)[:, :2].T)
+    off = np.hypot(*(made.refine().poses - AGAIN)[:, :2].T)
     assert off[cut:].max() < 0.1
 
 
@@ -235,7 +235,7 @@ def test_a_wrong_place_by_odometry_is_not_recognised(lap):
     slipped = broken(lap[cut], (3.0, 0.0, 0.0))
     revisions = driven(made, [*lap[:cut], slipped, *lap[cut + 1 :]])
     assert np.all(revisions[-1].placed)
-    off = np.hypot(*(made.settle().poses - AGAIN)[:, :2].T)
+    off = np.hypot(*(made.refine().poses - AGAIN)[:, :2].T)
     assert off[cut:].max() < 0.1
 
 
@@ -329,7 +329,7 @@ def test_a_session_elsewhere_is_not_located(lap):
     revisions = driven(made, [*lap, *there])
     assert not any(np.any(r.placed) for r in revisions[len(lap) :])
     assert made.counts()["sessions not found"] == 1
-    assert np.all(made.settle().placed == (np.arange(len(revisions)) < len(lap)))
+    assert np.all(made.refine().placed == (np.arange(len(revisions)) < len(lap)))
 
 
 OTHER_FLOOR = np.concatenate([
@@ -359,7 +359,7 @@ def test_a_frozen_map_stays_and_the_drive_through_it_does_not_drift(lap):
     for k, given in enumerate(drift, n):
         frame = replace(given, id=k, lost=k == n)
         builder.revise(frame, made.add(frame))
-    there = builder.map().revised(made.settle())
+    there = builder.map().revised(made.refine())
     assert made.landmark_covariance() is known.landmark_covariance
     np.testing.assert_array_equal(there.keyframes.poses[:n], known.keyframes.poses)
     np.testing.assert_array_equal(there.grid().logodds, known.grid().logodds)

@@ -40,7 +40,7 @@ def gtsam():
 
 
 @pytest.mark.parametrize("relinearise", [0.001, 0.3])
-def test_the_settled_map_is_the_batch_optimum(gtsam, relinearise):
+def test_the_refined_map_is_the_batch_optimum(gtsam, relinearise):
     """By a solver that shares no code with it: the newest pose and its covariance."""
     setting = replace(HUANG, steps=60)
     trial = simulate(setting, np.random.default_rng(1))
@@ -53,21 +53,21 @@ def test_the_settled_map_is_the_batch_optimum(gtsam, relinearise):
             if trial.in_range[k, i]
         ]
         made.add(keyframe(k, Increment(float(k), d_pose, Q, 1.0), seen))
-    settled = made.settle()
-    assert settled.refused == ""
+    refined = made.refine()
+    assert refined.refused == ""
     (best,) = optima(setting, trial, [setting.steps - 1])
     sigmas = np.sqrt(np.diag(best.covariance))
-    assert (np.abs(wrapped(settled.poses[-1] - best.pose, 2)) < 0.01 * sigmas).all()
-    apart = (settled.covariances[-1] - best.covariance) / np.outer(sigmas, sigmas)
+    assert (np.abs(wrapped(refined.poses[-1] - best.pose, 2)) < 0.01 * sigmas).all()
+    apart = (refined.covariances[-1] - best.covariance) / np.outer(sigmas, sigmas)
     assert np.abs(apart).max() < 0.01
 
 
-def test_settling_does_not_affect_what_follows(gtsam):
+def test_refining_does_not_affect_what_follows(gtsam):
     made, twin = started(), started()
     rng, again = np.random.default_rng(2), np.random.default_rng(2)
     for k, (pose, motion) in enumerate(drive(12, rng)):
         one = made.add(keyframe(k, motion, observe(pose, rng)))
-        made.settle()
+        made.refine()
         made.landmarks()
     for k, (pose, motion) in enumerate(drive(12, again)):
         two = twin.add(keyframe(k, motion, observe(pose, again)))
@@ -75,20 +75,20 @@ def test_settling_does_not_affect_what_follows(gtsam):
     np.testing.assert_array_equal(one.covariances, two.covariances)
 
 
-def test_settling_can_be_ended_and_repeated(gtsam):
+def test_refining_can_be_ended_and_repeated(gtsam):
     made, rng, calls = started(), np.random.default_rng(2), []
     for k, (pose, motion) in enumerate(drive(12, rng)):
         made.add(keyframe(k, motion, observe(pose, rng)))
-    wanted = made.settle()
+    wanted = made.refine()
     made.check_with(lambda: calls.append(0))
-    made.settle()
+    made.refine()
     for k in range(len(calls)):
         left = iter(range(k))
         made.check_with(lambda left=left: next(left))
         with pytest.raises(StopIteration):
-            made.settle()
+            made.refine()
     made.check_with(lambda: None)
-    np.testing.assert_array_equal(made.settle().poses, wanted.poses)
+    np.testing.assert_array_equal(made.refine().poses, wanted.poses)
     assert len(calls) >= 3  # before each iteration, and there are at least two
 
 

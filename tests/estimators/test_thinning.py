@@ -62,9 +62,9 @@ def test_dropped_keyframes_are_reported_once(still):
 
 def test_dropped_keyframes_are_where_they_were(still):
     made, _ = still
-    settled = made.settle()
-    assert settled is not None
-    poses, dropped = settled.poses, ~made._keys.is_kept
+    refined = made.refine()
+    assert refined is not None
+    poses, dropped = refined.poses, ~made._keys.is_kept
     hosts = made._keys.hosts[dropped]
     error = between(TRUTH[hosts], TRUTH[dropped]) - between(poses[hosts], poses[dropped])
     assert np.abs(wrapped(error, 2))[:, :2].max() < 0.03
@@ -124,5 +124,5 @@ def test_a_map_keeps_its_place_without_the_scans_that_add_nothing(tmp_path):
     assert again.counts()["loops closed"] == 0, "the closures of the map are not its own"
     assert (graph.path_lengths(0) >= 0.0).all()
     assert graph.path_lengths(0).max() < 60.0
-    settled = again.settle()
-    assert np.hypot(*(settled.poses - TRUTH)[:, :2].T).max() < 0.1
+    refined = again.refine()
+    assert np.hypot(*(refined.poses - TRUTH)[:, :2].T).max() < 0.1

@@ -284,20 +284,20 @@ def same_marks(some, others):
     return [(m.id, *m.position) for m in some] == [(m.id, *m.position) for m in others]
 
 
-def test_the_last_snapshot_is_of_the_settled_map():
+def test_the_last_snapshot_is_of_the_refined_map():
     view = LiveView()
     run = Run(GRAPH, [view])
     view.begin(run)
     run.play(ring())
-    before, settled = view.snapshot(), run.settled()
-    view.finish(settled, make_outcome())
+    before, refined = view.snapshot(), run.refined()
+    view.finish(refined, make_outcome())
     shown = view.snapshot()
-    np.testing.assert_array_equal(shown.pose, settled.path()[-1, 1:])
+    np.testing.assert_array_equal(shown.pose, refined.path()[-1, 1:])
     np.testing.assert_allclose(shown.path[-1], shown.pose[:2], atol=1e-6)
-    assert distances(settled.path()[:, 1:3], shown.path.astype(float)).max() < 0.1
+    assert distances(refined.path()[:, 1:3], shown.path.astype(float)).max() < 0.1
     in_base = transform(inverse(before.pose), before.points.astype(float))
     np.testing.assert_allclose(shown.points, transform(shown.pose, in_base), atol=1e-5)
-    assert same_marks(shown.landmarks, settled.landmarks)
+    assert same_marks(shown.landmarks, refined.landmarks)
 
 
 def test_a_long_path_moves_in_a_millisecond_and_stays_thin():

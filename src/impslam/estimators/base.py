@@ -35,13 +35,13 @@ class Draft(NamedTuple):
 
     Attributes
     ----------
-    settle : returns the refined poses of all keyframes, or None; see `Estimator.settle`
-    landmarks : returns the landmarks; after `settle`, those at the refined poses
-    edges : returns the edges of the pose graph; after `settle`, those of the refined poses
+    refine : returns the refined poses of all keyframes, or None; see `Estimator.refine`
+    landmarks : returns the landmarks; after `refine`, those at the refined poses
+    edges : returns the edges of the pose graph; after `refine`, those of the refined poses
     landmark_covariance : returns the joint covariance of the landmarks, or none
     """
 
-    settle: Callable[[], Revision | None]
+    refine: Callable[[], Revision | None]
     landmarks: Callable[[], tuple[Landmark, ...]]
     edges: Callable[[], Edges] = lambda: NO_EDGES
     landmark_covariance: Callable[[], Array] = lambda: NO_COVARIANCE
@@ -73,7 +73,7 @@ class Estimator(Component):
     """Called between the steps of work that takes seconds; what it raises ends the work."""
 
     def check_with(self, checkpoint: Callable[[], None]) -> None:
-        """Call a function between the steps of `settle`, which it may end with an exception."""
+        """Call a function between the steps of `refine`, which it may end with an exception."""
         self._checkpoint = checkpoint
 
     @abstractmethod
@@ -112,7 +112,7 @@ class Estimator(Component):
         estimator is never left partly changed.
         """
 
-    def settle(self) -> Revision | None:
+    def refine(self) -> Revision | None:
         """Return the refined poses of all keyframes, or None if the estimator does not refine them.
 
         This may take seconds. More keyframes may follow, with the same result as without this call; until

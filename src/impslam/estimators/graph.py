@@ -77,9 +77,9 @@ class Graph(Estimator):
     _known: Map | None = PrivateAttr(None)
     _closed_before: int = PrivateAttr(0)
     """Number of closures of the map that is continued."""
-    _settled: Revision | None = PrivateAttr(None)
+    _refined: Revision | None = PrivateAttr(None)
     _final: PoseGraph | None = PrivateAttr(None)
-    """The graph with the closures of the newest node, after `settle`."""
+    """The graph with the closures of the newest node, after `refine`."""
     _final_closer: LoopCloser = PrivateAttr()
 
     def start(self, pose: Array, **parts: Any) -> None:
@@ -101,7 +101,7 @@ class Graph(Estimator):
 
     def add(self, keyframe: Keyframe) -> Revision:
         """Process a keyframe; see `Estimator.add`."""
-        self._settled = self._final = None
+        self._refined = self._final = None
         if self._may_be_elsewhere(keyframe):
             keyframe = as_session_start(keyframe)
         used, refused = _usable(keyframe)
@@ -232,8 +232,8 @@ class Graph(Estimator):
         covariances = self._including_scale(revision.covariances, revision.poses)
         return replace(revision, covariances=covariances)
 
-    def settle(self) -> Revision | None:
-        """Refine all keyframes jointly; see `Estimator.settle`."""
+    def refine(self) -> Revision | None:
+        """Refine all keyframes jointly; see `Estimator.refine`."""
         if len(self._graph) == 0:
             return None
         graph, refused, self._final_closer = copy(self._graph), "", self._closer.copy()
@@ -244,19 +244,19 @@ class Graph(Estimator):
         except NumericalError as error:
             graph, refused = copy(self._graph), f"the last closures are not in the map: {error}"
         self._final = graph
-        settled = self._revise_all(graph)
+        revision = self._revise_all(graph)
         part = _refinable(self._keys, graph)
         poses = refined(blended(self._keys, graph), self._keys, self.rounds, part)
-        self._settled = replace(settled, poses=poses[settled.ids], refused=refused)
-        return self._with_scale(self._settled)
+        self._refined = replace(revision, poses=poses[revision.ids], refused=refused)
+        return self._with_scale(self._refined)
 
     def landmarks(self) -> tuple[Landmark, ...]:
-        """Return the landmarks at the keyframes' poses; after `settle`, at the refined ones."""
+        """Return the landmarks at the keyframes' poses; after `refine`, at the refined ones."""
         if self._known is not None:
             return self._known.landmarks
         if len(self._graph) == 0:
             return ()
-        revision = self._settled or self._revise_all(self._graph)
+        revision = self._refined or self._revise_all(self._graph)
         poses, covariances, rows = revision.poses, revision.covariances, None
         sightings = self._keys.sightings
         if not np.all(revision.placed):
@@ -276,7 +276,7 @@ class Graph(Estimator):
         snapshot = self.model_copy()
         snapshot._graph, snapshot._keys = copy(self._graph), self._keys.copy()
         snapshot._closer = self._closer.copy()
-        return Draft(snapshot.settle, snapshot.landmarks, snapshot.edges, self.landmark_covariance)
+        return Draft(snapshot.refine, snapshot.landmarks, snapshot.edges, self.landmark_covariance)
 
     def edges(self) -> Edges:
         """Return motions and closures between keyframes; see `Estimator.edges`."""

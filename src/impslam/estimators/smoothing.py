@@ -46,7 +46,7 @@ class Smoothing(Landmarks):
     """The graph's pose of each keyframe; after an unknown motion, that of the previous keyframe."""
     _covariances: GrowingArray = PrivateAttr()
     _dims: dict[int, int] = PrivateAttr(default_factory=dict)
-    _settled: SmootherEstimate | None = PrivateAttr(None)
+    _refined: SmootherEstimate | None = PrivateAttr(None)
 
     def start(self, pose: Array, **parts: Any) -> None:
         """Begin at a pose (3,) with an empty map; see `Estimator.start`."""
@@ -57,12 +57,12 @@ class Smoothing(Landmarks):
                 "one with --set filter.kind=riekf"
             )
         self._smoother = Smoother(pose, MIN_SIGMA, self.relinearise)
-        self._nodes, self._dims, self._settled = [], {}, None
+        self._nodes, self._dims, self._refined = [], {}, None
         self._covariances = GrowingArray(3, 3)
 
     def add(self, keyframe: Keyframe) -> Revision:
         """Process a keyframe; see `Estimator.add`."""
-        self._settled = None
+        self._refined = None
         revision = super().add(keyframe)
         if is_finite(keyframe.motion):
             self._smoother.add_motion(self._motion.d_pose, self._motion.covariance)
@@ -107,13 +107,13 @@ class Smoothing(Landmarks):
         ids = np.arange(first, keyframe.id + 1)
         return replace(revision, ids=ids, poses=poses, covariances=self._covariances.array.copy())
 
-    def settle(self) -> Revision | None:
-        """Return all poses at the optimum with their marginals; see `Estimator.settle`."""
+    def refine(self) -> Revision | None:
+        """Return all poses at the optimum with their marginals; see `Estimator.refine`."""
         if not self._nodes:
             return None
         ids = np.arange(len(self._nodes))
         try:
-            self._settled = best = self._smoother.optimum(self._checkpoint)
+            self._refined = best = self._smoother.optimum(self._checkpoint)
         except NumericalError as error:
             current = self._smoother.path()[self._nodes], self._covariances.array.copy()
             refused = Revision(ids, *current, refused=f"the map is not refined: {error}")
@@ -122,17 +122,17 @@ class Smoothing(Landmarks):
         return self._with_scale(Revision(ids, poses, covariances))
 
     def landmarks(self) -> tuple[Landmark, ...]:
-        """Return the landmarks of the graph; after `settle`, with marginals at the optimum."""
-        if self._settled is None:
+        """Return the landmarks of the graph; after `refine`, with marginals at the optimum."""
+        if self._refined is None:
             return super().landmarks()
-        best, moved = self._settled.landmarks, self._filter.copied()
-        moved.follow(self._settled.poses[-1], {n: best[n][0] for n in self._dims})
+        best, moved = self._refined.landmarks, self._filter.copied()
+        moved.follow(self._refined.poses[-1], {n: best[n][0] for n in self._dims})
         found = (self._with_marginal(mark, *best[mark.id]) for mark in moved.landmarks())
         return self._landmarks_with_scale(found)
 
     def landmark_covariance(self) -> Array:
-        """Return that of the filter; after `settle` none, because each landmark has its own marginal."""
-        return super().landmark_covariance() if self._settled is None else NO_COVARIANCE
+        """Return that of the filter; after `refine` none, because each landmark has its own marginal."""
+        return super().landmark_covariance() if self._refined is None else NO_COVARIANCE
 
     def _with_marginal(self, mark: Landmark, m: Array, P: Array) -> Landmark:
         """Return a landmark of state m (dim,) with the covariance P (dim, dim) of that state."""

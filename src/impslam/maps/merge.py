@@ -84,7 +84,7 @@ def merged(first: Map, *others: Map, progress: Progress = lambda what, share: No
         other = _with_graph(waiting.pop(which), config).moved(found.T)
         progress("joining", 1.0 - len(waiting) / len(others))
         both = replace(joined(known, other, found.links), about=_about(known, other))
-        known = _settled(both, len(known.keyframes), config)
+        known = _refined(both, len(known.keyframes), config)
     return known
 
 
@@ -118,11 +118,11 @@ def _with_graph(known: Map, config: Config) -> Map:
     return known if len(known.edges.i) else replace(known, edges=_graph(known, config).edges())
 
 
-def _settled(known: Map, begin: int, config: Config) -> Map:
+def _refined(known: Map, begin: int, config: Config) -> Map:
     """Return a joined map after a search for closures from keyframe `begin` on, and refinement."""
     graph = _graph(known, config)
     graph.search_loops(begin)
-    revision = graph.settle()
+    revision = graph.refine()
     assert revision is not None, "there are keyframes"
-    settled = blended(replace(known, edges=graph.edges()).revised(revision))
-    return replace(settled, landmarks=graph.landmarks())
+    refined = blended(replace(known, edges=graph.edges()).revised(revision))
+    return replace(refined, landmarks=graph.landmarks())

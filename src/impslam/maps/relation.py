@@ -42,7 +42,7 @@ POSITION_SIGMA, HEADING_SIGMA = 0.1, 0.02
 """m, rad: standard deviations of a stretch's pose in the other map."""
 BEND, TWIST = 0.01, 0.002
 """m/m, rad/m: standard deviations of the relative pose of two keyframes of one map by their distance; a
-settled map is more accurate, but an unsettled one is bent by that much."""
+refined map is more accurate, but an unrefined one is bent by that much."""
 MAX_LEVER = 30.0
 """m from the nearest agreeing stretch within which scans are compared with the first map: farther away,
 `BEND` puts a beam's end more than 0.3 m off, where it no longer counts as near its wall."""

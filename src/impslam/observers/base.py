@@ -34,7 +34,7 @@ class Outcome:
     counts : messages by type, scans, landmarks, and loops tried and closed if the estimator closes loops
     dropped : unused data by kind of problem
     stages : durations in s by stage: "sense" of each batch, "track" of the sweeps up to each keyframe,
-        "extract" and "estimate" of each keyframe, and once "settle"
+        "extract" and "estimate" of each keyframe, and once "refine"
     log_seconds : from the first to the last used message, corrected for clocks that were set;
         NaN if the stamps are unusable
     wall_seconds : duration of the run, s

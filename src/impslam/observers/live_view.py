@@ -254,10 +254,10 @@ class LiveView(Observer):
         self._landmarks = self._snapshot.run, known.landmarks
         shown = replace(self._snapshot, version=self._snapshot.version + 1, finished=finished)
         shown = replace(shown, landmarks=known.landmarks, grid=self._current_picture())
-        self._snapshot = self._settled(shown, known) if finished else shown
+        self._snapshot = self._refined(shown, known) if finished else shown
 
-    def _settled(self, shown: Snapshot, known: Map) -> Snapshot:
-        """Return a snapshot with the path and the pose of the settled map."""
+    def _refined(self, shown: Snapshot, known: Map) -> Snapshot:
+        """Return a snapshot with the path and the pose of the refined map."""
         if not len(known.stamps):
             return shown
         self._path.move(known.keyframes.poses)

@@ -175,7 +175,7 @@ def stages(outcome: Outcome) -> str:
     header = ("stage", "mean ms", "median ms", "99 % ms", "of the run")
     note = (
         "sense: per block of the log; track: per group of sweeps up to a keyframe; extract, estimate: "
-        "per keyframe; settle: once. In the first run of a version, they include compiling."
+        "per keyframe; refine: once. In the first run of a version, they include compiling."
     )
     return section("Time", table(header, rows), note=note)
 

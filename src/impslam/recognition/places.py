@@ -157,7 +157,7 @@ class Recogniser:
         if self.outcome == "too few points":
             return 0.0
         assert self._reference is not None
-        nearest = self._settle(query, plain(guess), FINE, FINE_PRIOR).pose
+        nearest = self._refine(query, plain(guess), FINE, FINE_PRIOR).pose
         pair = self._known, self._reference, query
         return min(excess_in_free_space(*pair, pose) for pose in (guess, nearest))
 
@@ -181,7 +181,7 @@ class Recogniser:
         if width > ALIGN_WINDOW or task.window.heading > ALIGN_TURN:
             return None
         step = max(1, len(query.features) // ALIGN_POINTS)
-        closure = self._settle(query, guess, _COARSE._replace(step=step), _COARSE_PRIOR)
+        closure = self._refine(query, guess, _COARSE._replace(step=step), _COARSE_PRIOR)
         shift = np.abs(closure.pose - guess)
         if shift[0] > task.window.x + SLACK or shift[1] > task.window.y + SLACK:
             return None
@@ -195,7 +195,7 @@ class Recogniser:
         peak = search(pyramid, task.points, guess, task.window, min_score, turn=task.turn)
         if peak.score == 0.0:
             return self._reject("no peak")
-        closure = self._settle(query, peak.pose, FINE, FINE_PRIOR)._replace(score=peak.score)
+        closure = self._refine(query, peak.pose, FINE, FINE_PRIOR)._replace(score=peak.score)
         if closure.verdict == ClosureStrength.REFUSED:
             return self._reject("contradicted")
         rival = self._rival(query, guess, task, closure)
@@ -214,9 +214,9 @@ class Recogniser:
         min_score = RIVAL_SHARE * closure.score
         pyramid = self._grid(task.window)
         peak = search(pyramid, task.points, guess, task.window, min_score, closure.pose, task.turn)
-        return None if peak.score == 0.0 else self._settle(query, peak.pose, FINE, FINE_PRIOR)
+        return None if peak.score == 0.0 else self._refine(query, peak.pose, FINE, FINE_PRIOR)
 
-    def _settle(self, query: Submap, start: Array, how: Alignment, prior: Array) -> Closure:
+    def _refine(self, query: Submap, start: Array, how: Alignment, prior: Array) -> Closure:
         """Align the query from a start pose, and judge the result."""
         assert self._reference is not None
         pose, evidence = start.copy(), no_evidence()

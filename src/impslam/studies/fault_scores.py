@@ -27,9 +27,9 @@ MAX_LIMIT, LIMIT_FACTOR = 0.5, 5.0
 CHI2_99, CHI2_999 = 11.34, 16.27
 """Chi-square of three degrees of freedom that 1 % and 0.1 % exceed."""
 REFERENCE_COVARIANCE = np.diag(np.array([0.02, 0.02, 0.005]) ** 2)
-"""m, m, rad, squared: accuracy of the settled path of a clean run."""
+"""m, m, rad, squared: accuracy of the refined path of a clean run."""
 MIN_LIMIT = 0.05
-"""m: lower bound of a limit, the accuracy of a settled path."""
+"""m: lower bound of a limit, the accuracy of a refined path."""
 VERDICTS = ("harmless", "said", "honest", "noted", "silent")
 """harmless: no pose was wrong. said: no wrong pose was TRACKING, or the run rejected the log. honest: all
 wrong TRACKING poses are within their ellipse. noted: some are not, but a note before or after the run names
@@ -86,7 +86,7 @@ class MappedDrive(NamedTuple):
     ----------
     rows : (k,) rows of the drive's scans that were used, in their order
     poses, covariances : (k, 3), (k, 3, 3) as known at the time
-    settled : (k, 3) as known at the end
+    refined : (k, 3) as known at the end
     health : of the k scans
     notes : kinds of problems that the run reported
     seconds : s of CPU
@@ -95,7 +95,7 @@ class MappedDrive(NamedTuple):
     rows: Ints
     poses: Array
     covariances: Array
-    settled: Array
+    refined: Array
     health: Health
     notes: frozenset[str]
     seconds: float
@@ -119,15 +119,15 @@ def map_drive(drive: RecordedDrive) -> MappedDrive:
     assert outcome is not None
     rows = np.searchsorted(source.drive.scans.order, live.orders)
     notes = frozenset(outcome.dropped) | {finding.kind for finding in findings}
-    settled = np.full((len(rows), 3), np.nan)
-    settled[known.placed()] = known.path()[:, 1:]
-    return MappedDrive(rows, live.poses, live.covariances, settled, outcome.health, notes, seconds)
+    refined = np.full((len(rows), 3), np.nan)
+    refined[known.placed()] = known.path()[:, 1:]
+    return MappedDrive(rows, live.poses, live.covariances, refined, outcome.health, notes, seconds)
 
 
 def with_truth(drive: RecordedDrive, clean: MappedDrive) -> RecordedDrive:
-    """Return a drive without truth, with the clean run's settled path as its truth."""
+    """Return a drive without truth, with the clean run's refined path as its truth."""
     truth = drive.truth.copy()
-    truth[clean.rows] = clean.settled
+    truth[clean.rows] = clean.refined
     return drive._replace(truth=truth)
 
 
@@ -159,7 +159,7 @@ def score(drive: RecordedDrive, limit: float, usual: frozenset[str], *, exact: b
         "verdict": _verdict(wrong, wrong & tracking, silent, notes),
         "off": float(off.max()),
         "off_at_end": float(off[-1]),
-        "off_settled": _worst(run.settled - drive.truth[run.rows]),
+        "off_refined": _worst(run.refined - drive.truth[run.rows]),
         "scans": len(off),
         "tracking": int(tracking.sum()),
         "inside": int((tracking & (squares < CHI2_99)).sum()),

@@ -77,7 +77,7 @@ def _simulated(case: Case, observers: Sequence[Observer]) -> Prepared:
     def work() -> None:
         run = Run(config, observers)
         run.play(messages)
-        known = run.settled()
+        known = run.refined()
         outcome = run.outcome(Path(case.log.name), "", len(known.landmarks))
         for observer in observers:
             observer.finish(known, outcome)

@@ -28,7 +28,7 @@ from impslam.platform.station import mapper as module
 from impslam.platform.station import warm_up as warm
 from impslam.platform.station.inbox import Inbox
 from impslam.platform.station.mapper import LiveMapper
-from impslam.recognition import everywhere
+from impslam.recognition import global_search
 from impslam.run import map_log
 from impslam.simulation.world import load_world
 from impslam.types import Climate, DeviceTime, LaserScan, TruePose, WheelAngles
@@ -210,18 +210,18 @@ def test_a_map_with_loops_is_saved_as_at_the_end_of_a_log(tmp_path):
     assert (tmp_path / "log" / "graph.g2o").read_text().count("EDGE_SE2") > 20
 
 
-def test_scans_do_not_wait_while_a_map_is_settled(tmp_path, monkeypatch):
-    """The saved map is that at the time of the request, however long settling takes."""
+def test_scans_do_not_wait_while_a_map_is_refined(tmp_path, monkeypatch):
+    """The saved map is that at the time of the request, however long refining takes."""
     drive = [m for m in ring() if isinstance(m, LaserScan | WheelAngles)]
-    settling, go = threading.Event(), threading.Event()
-    settle = graph.Graph.settle
+    refining, go = threading.Event(), threading.Event()
+    refine = graph.Graph.refine
 
     def late(self):
-        settling.set()
+        refining.set()
         assert go.wait(20.0)
-        return settle(self)
+        return refine(self)
 
-    monkeypatch.setattr(graph.Graph, "settle", late)
+    monkeypatch.setattr(graph.Graph, "refine", late)
     mapper = live(GRAPH)
     mapper.start()
     hand(mapper, drive[: len(drive) // 2])
@@ -229,7 +229,7 @@ def test_scans_do_not_wait_while_a_map_is_settled(tmp_path, monkeypatch):
     before = mapper.status().steps
     saver = threading.Thread(target=mapper.save, args=(tmp_path / "half",))
     saver.start()
-    assert settling.wait(10.0)
+    assert refining.wait(10.0)
     hand(mapper, drive[len(drive) // 2 :])
     drain(mapper)
     assert mapper.status().steps > 1.5 * before
@@ -239,7 +239,7 @@ def test_scans_do_not_wait_while_a_map_is_settled(tmp_path, monkeypatch):
     assert len((tmp_path / "half" / "trajectory.tum").read_text().splitlines()) == before
     facts = json.loads((tmp_path / "half" / "summary.json").read_text())
     assert (facts["counts"]["steps"], facts["counts"]["loops closed"]) == (before, 0)
-    assert facts["time"]["stages_ms"]["settle"]["mean"] > 0.0
+    assert facts["time"]["stages_ms"]["refine"]["mean"] > 0.0
 
 
 def test_a_folder_that_cannot_be_created_is_a_one_line_error(room, tmp_path):
@@ -551,7 +551,7 @@ def test_the_estimator_is_compiled_in_place_if_the_subprocess_fails(monkeypatch,
     assert "in place" in caplog.text
 
 
-def test_a_rehearsal_closes_loops_settles_and_locates_the_robot(monkeypatch):
+def test_a_rehearsal_closes_loops_refines_and_locates_the_robot(monkeypatch):
     """Otherwise, the first loop closure, or the first search for the robot, would wait for the compiler."""
     made, sought = [], []
 
@@ -560,15 +560,15 @@ def test_a_rehearsal_closes_loops_settles_and_locates_the_robot(monkeypatch):
             super().__init__(*args, **options)
             made.append(self)
 
-    find_everywhere = everywhere._search
+    find_everywhere = global_search._search
 
     def search(*args):
         sought.append(len(made))
         return find_everywhere(*args)
 
     monkeypatch.setattr(warm, "Run", Kept)
-    monkeypatch.setattr(everywhere, "_search", search)
+    monkeypatch.setattr(global_search, "_search", search)
     warm.rehearse(load("imp", ["tracker.kind=scan_to_map", "estimator.kind=graph"]))
     assert made[0].estimator.counts()["loops closed"] > 0
-    assert "settle" in made[0].clock.stages
+    assert "refine" in made[0].clock.stages
     assert 2 in sought

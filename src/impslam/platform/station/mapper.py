@@ -108,7 +108,7 @@ class LiveMapper:
     def save(self, folder: Path) -> Path:
         """Write a run folder of the present map, and return it; mapping goes on.
 
-        A copy of the map is settled as at the end of a log. This takes a second or two in the caller's
+        A copy of the map is refined as at the end of a log. This takes a second or two in the caller's
         thread; scans wait only while the estimate is copied.
 
         Raises
@@ -116,8 +116,8 @@ class LiveMapper:
         ImpError
             If nothing is mapped yet, or the folder cannot be written.
         """
-        settled, truth = self._draft()
-        return write_run(folder, *settled(), truth)
+        refined, truth = self._draft()
+        return write_run(folder, *refined(), truth)
 
     def save_map(self, folder: Path) -> Path:
         """Write only the map file, as `save` does; return its path.
@@ -127,8 +127,8 @@ class LiveMapper:
         ImpError
             If nothing is mapped yet, or the file cannot be written.
         """
-        settled, _ = self._draft()
-        known, _ = settled()
+        refined, _ = self._draft()
+        known, _ = refined()
         return known.save(folder / FILE)
 
     def _draft(self) -> tuple[Callable[[], tuple[Map, Outcome]], Array]:

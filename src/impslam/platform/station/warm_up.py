@@ -51,14 +51,14 @@ def warm_up(config: Config) -> None:
 
 
 def rehearse(config: Config, scans: float = math.inf) -> None:
-    """Map the first scans of a simulated drive, or all, and settle the map.
+    """Map the first scans of a simulated drive, or all, and refine the map.
 
     The end of the drive closes loops, if the estimator does. After all, the robot is located in that map,
     if the estimator can continue one. So all kernels are called.
     """
     run = Run(config)
     _drive(run, scans)
-    known = run.settled()
+    known = run.refined()
     known.grid()
     if math.isinf(scans) and for_continuing(config) is config:
         _drive(Run(config, begin=KnownMap(known, frozen=True)), SCANS_TO_LOCATE)

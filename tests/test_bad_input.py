@@ -100,7 +100,7 @@ def test_a_lidar_of_eight_beams_leaves_dead_reckoning():
     outcome = Outcome(recorded(hall(), **look))
     dead_reckoned(outcome)
     assert outcome.states[-1] == "DEGRADED"
-    assert "nothing known was seen" in outcome.words
+    assert "no known feature was seen" in outcome.words
 
 
 @pytest.mark.parametrize("since", [0, 150])

@@ -34,7 +34,7 @@ TRUTH = way(*LAP, (12.0, 1.25))
 """A lap of 56 m, and 9 m of a second one."""
 DRIFT = (0.0, 0.0, 0.003)
 """rad/m: 1.4 m at the far side of the lap."""
-OPEN = {"attempts": 0}
+OPEN = {"candidates": 0}
 
 
 @pytest.fixture(scope="module")
@@ -224,7 +224,7 @@ def test_a_robot_that_turns_on_the_spot_closes_no_loop_with_itself():
 
 BARE = np.concatenate([room(-2.0, 42.0, -1.2, 1.2)])
 """A corridor of 44 m that looks the same all along."""
-WIDE = {"drift": 0.2, "most": 16.0}
+WIDE = {"drift": 0.2, "max_window": 16.0}
 """So wide a window that it holds two rooms."""
 
 

@@ -87,7 +87,11 @@ def test_equal_hypotheses_are_merged():
     """Most ambiguities of a drive stop to matter: the beliefs converge."""
     kept = []
     for same in (0.0, 0.2):
-        made, rng, pose = started(same=same, density=3.0), np.random.default_rng(1), ORIGIN
+        made, rng, pose = (
+            started(merge_distance=same, density=3.0),
+            np.random.default_rng(1),
+            ORIGIN,
+        )
         for k in range(20):
             moved = np.array([0.1, 0.0, 0.1])
             pose = compose(pose, moved)
@@ -100,7 +104,7 @@ def test_equal_hypotheses_are_merged():
 
 def test_an_ambiguous_match_without_effect_is_not_reported():
     """Halfway between twins the odds are even, and either match leaves the same belief."""
-    made = started(same=1.0, density=1e-9)
+    made = started(merge_distance=1.0, density=1e-9)
     near = ((3.0, 0.0), (3.0, 0.03))
     for k in range(20):
         told = made.add(keyframe(k, [point(ORIGIN, place) for place in near]))

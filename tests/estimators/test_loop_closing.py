@@ -157,19 +157,19 @@ def frames():
     return keyframes(RING, TRUTH, DRIFT)
 
 
-def test_nothing_is_tried_without_attempts(frames):
+def test_nothing_is_tried_without_candidates(frames):
     made = seeking(frames, candidates=0)
     assert made._closer.recogniser.counts["attempts"] == 0
 
 
-@pytest.mark.parametrize("attempts", [1, 2, 4])
-def test_the_number_of_candidates_at_a_node_is_limited(frames, attempts):
-    made = begun(TRUTH[0], loops={"attempts": attempts})
+@pytest.mark.parametrize("candidates", [1, 2, 4])
+def test_the_number_of_candidates_at_a_node_is_limited(frames, candidates):
+    made = begun(TRUTH[0], loops={"candidates": candidates})
     counts = made._closer.recogniser.counts
     for frame in frames:
         before, nodes = counts["attempts"], len(made._graph)
         made.add(frame)
-        assert counts["attempts"] - before <= attempts * (len(made._graph) - nodes)
+        assert counts["attempts"] - before <= candidates * (len(made._graph) - nodes)
 
 
 def test_no_search_where_the_path_through_the_graph_is_short(frames):

@@ -90,7 +90,7 @@ def test_keyframes_that_show_a_change_are_kept(change):
 
 def test_passes_that_the_graph_does_not_connect_are_kept():
     """Two passes that the graph does not tie to each other stay apart, alike as they look."""
-    made = begun(START, loops={"attempts": 0})
+    made = begun(START, loops={"candidates": 0})
     driven(made, keyframes(RING, TRUTH))
     assert made._keys.is_kept.all()
     assert not made._graph.is_folded.any()

@@ -108,7 +108,7 @@ def test_growth_counts_from_the_first_pose_however_the_log_is_cut(cuts):
     health = watch([9.0, 9.04, 9.09, 9.16, 9.0], cuts)
     (span,) = health.spans()
     assert (span.begin, span.end, span.scans, span.state) == (12.0, 13.0, 2, "DEGRADED")
-    assert span.description == "nothing known was seen for 3.0 m; the position is uncertain"
+    assert span.description == "no known feature was seen for 3.0 m; the position is uncertain"
     assert health.counts() == {"TRACKING": 3, "DEGRADED": 2, "LOST": 0}
     assert why(health) == ""
 
@@ -116,7 +116,7 @@ def test_growth_counts_from_the_first_pose_however_the_log_is_cut(cuts):
 def test_the_most_severe_reason_is_reported():
     blind, doubt = np.zeros((3, 3), bool), [STALLED] * 3
     assert "not finite" in why(watch([1.0, 1.0, np.inf], (), valid=blind, reasons=doubt))
-    assert "nothing known was seen" in why(watch([0.0, 1.0, 1.0], (), reasons=doubt))
+    assert "no known feature was seen" in why(watch([0.0, 1.0, 1.0], (), reasons=doubt))
     assert "the wheels turn" in why(watch([0.0, 0.0, 0.0], (), valid=blind, reasons=doubt))
     assert "the lidar sees nothing" in why(watch([0.0, 0.0, 0.0], (), valid=blind))
     assert "40 % of the scan" not in why(watch([0.0, 9.0], (), reasons=[NONE, OPEN]))
@@ -138,7 +138,7 @@ def test_growth_since_the_last_match_counts(cuts):
     located = np.array([False, True, True, False, False])
     (span,) = watch([9.0, 9.5, 10.0, 10.04, 10.09], cuts, located=located).spans()
     assert (span.begin, span.scans) == (14.0, 1)
-    assert span.description == "nothing known was seen for 2.0 m; the position is uncertain"
+    assert span.description == "no known feature was seen for 2.0 m; the position is uncertain"
 
 
 @pytest.mark.parametrize("cuts", [(), (2,), (1, 2, 3)])
@@ -235,11 +235,11 @@ def test_spans_report_the_longest_distance_and_the_smallest_share():
     reasons = np.array([OPEN, OPEN, NONE, UNEXPLAINED, UNEXPLAINED], np.int8)
     health = Health(100.0 + np.arange(5.0), reasons, np.array([1.0, 2.0, 0.0, 0.12, 0.3]))
     assert [span.description for span in health.spans()] == [
-        "nothing to see along the corridor for 2.0 m",
+        "no feature along the corridor for 2.0 m",
         "only 12 % of the scan fits the map; the map is not updated",
     ]
     states = "TRACKING at 1 scans, DEGRADED at 4 scans"
-    assert health.summary.startswith(states + "; the longest begins 0.0 s after the start: nothing")
+    assert health.summary.startswith(states + "; the longest begins 0.0 s after the start: no")
     assert health.summary.endswith("at the end DEGRADED: " + list(health.spans())[1].description)
 
 

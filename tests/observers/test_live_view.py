@@ -467,7 +467,7 @@ def test_a_robot_that_recognises_nothing_is_reported_once_uncertain(keyframe):
     ]
     reasons = said(still(3.0), *drive, keyframe=keyframe)[1:]
     assert reasons[24] == ""
-    assert "nothing known was seen for" in reasons[25]
+    assert "no known feature was seen for" in reasons[25]
     assert "for 2.7 m" in reasons[26]
     assert said(still(3.0), *drive, still(3.01))[-1] == ""
 

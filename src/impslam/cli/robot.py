@@ -234,7 +234,7 @@ def running_station(
             chosen.preset,
             folder or chosen.folder,
             (chosen.max_speed, chosen.max_turn_rate),
-            chosen.disk_floor_mb * 1_000_000,
+            chosen.min_free_disk_mb * 1_000_000,
         )
         stack.callback(station.stop)
         station.start()

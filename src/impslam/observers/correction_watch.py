@@ -1,4 +1,4 @@
-"""Checks whether landmarks correct the motion by odometry to one side all the time.
+"""Checks whether landmarks keep correcting the motion by odometry in one direction.
 
 The corrections of a consistent filter are white: at each keyframe their mean is zero, and their covariance
 is that of the prediction minus that of the estimate (Bar-Shalom et al. 2001, ch. 5.4). Their sum over the

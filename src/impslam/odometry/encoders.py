@@ -53,7 +53,7 @@ class Encoders(Odometry):
         False, "", "the readings of the left and the right wheel are swapped in the log"
     )
     reversed: Literal["none", "left", "right", "both"] = parameter(
-        "none", "", "wheels (after exchange) whose reading falls while they roll forward"
+        "none", "", "wheels (after swapping) whose reading falls while they roll forward"
     )
     wrap: float = parameter(
         0.0,

@@ -37,7 +37,7 @@ class RobotFile(Parameters):
     max_turn_rate: float = parameter(
         1.0, "rad/s", "no command exceeds it: a scan of 0.1 s then smears by 6 deg", gt=0
     )
-    disk_floor_mb: int = parameter(
+    min_free_disk_mb: int = parameter(
         500, "MB", "recording ends when less is free: a system without disk does not boot", ge=0
     )
     devices: dict[str, Table] = parameter({}, "1", "a table for each: its kind and parameters")

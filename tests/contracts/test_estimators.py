@@ -75,19 +75,18 @@ def test_a_drive_without_noise_is_exact(make):
         assert np.abs(np.array(points) - centre).max(axis=1).min() < 1e-9
 
 
-@pytest.mark.parametrize("refine", [False, True])
-def test_the_joint_covariance_is_that_of_the_landmarks_in_their_order(make, refine):
+def test_the_joint_covariance_is_that_of_the_landmarks_in_their_order(make):
     made = make()
     run(made, 12, np.random.default_rng(4))
-    if refine:
+    for _ in ("before settling", "after it"):
+        joint, found = made.landmark_covariance(), made.landmarks()
+        assert [mark.id for mark in found] == sorted(mark.id for mark in found)
+        assert joint.shape in {(0, 0), (2 * len(found),) * 2}
+        for k in range(len(joint) // 2):
+            own = slice(2 * k, 2 * k + 2)
+            np.testing.assert_allclose(joint[own, own], found[k].covariance, rtol=1e-9, atol=1e-15)
+        assert len(joint) or made.name not in {"landmarks", "hypotheses"}
         made.refine()
-    joint, found = made.landmark_covariance(), made.landmarks()
-    assert [mark.id for mark in found] == sorted(mark.id for mark in found)
-    assert joint.shape in {(0, 0), (2 * len(found),) * 2}
-    for k in range(len(joint) // 2):
-        own = slice(2 * k, 2 * k + 2)
-        np.testing.assert_allclose(joint[own, own], found[k].covariance, rtol=1e-9, atol=1e-15)
-    assert len(joint) or made.name not in {"landmarks", "hypotheses"}
 
 
 def test_it_starts_at_the_given_pose(make):
@@ -98,9 +97,10 @@ def test_it_starts_at_the_given_pose(make):
         assert np.abs(wrapped(newest(revision, k)[0] - expected, 2)).max() < 1e-9
 
 
-def test_a_revision_has_a_pose_and_a_covariance_for_each_keyframe(make):
-    _, revisions = run(make(), rng=np.random.default_rng(1))
-    for k, revision in enumerate(revisions):
+def test_a_revision_has_a_pose_and_a_covariance_for_each_keyframe_and_the_same_bytes_again(make):
+    runs = [make(), make()]
+    one, two = (run(made, 25, np.random.default_rng(2))[1] for made in runs)
+    for k, revision in enumerate(one):
         m = len(revision.ids)
         assert revision.ids.dtype == np.int64
         assert (np.diff(revision.ids) > 0).all()
@@ -111,11 +111,6 @@ def test_a_revision_has_a_pose_and_a_covariance_for_each_keyframe(make):
         for P in revision.covariances:
             np.testing.assert_allclose(P, P.T, atol=1e-15)
             assert np.linalg.eigvalsh(P)[0] > 0.0
-
-
-def test_the_same_keyframes_give_the_same_bytes(make):
-    runs = [make(), make()]
-    one, two = (run(made, rng=np.random.default_rng(2))[1] for made in runs)
     assert [told(r) for r in one] == [told(r) for r in two]
     for a, b in zip(*(made.landmarks() for made in runs), strict=True):
         assert a.position.tobytes() == b.position.tobytes()
@@ -151,39 +146,43 @@ BAD = {
 }
 
 
-@pytest.mark.parametrize("spoil", BAD.values(), ids=BAD)
-def test_a_keyframe_that_cannot_be_used_moves_the_robot_and_nothing_else(make, spoil):
+def test_a_keyframe_that_cannot_be_used_moves_the_robot_and_nothing_else(make):
     """It goes on as a twin does that was shown the motion alone."""
-    made, twin = make(), make()
+    made, twin, k = make(), make(), 12
     rng, again = np.random.default_rng(4), np.random.default_rng(4)
-    run(made, 12, rng)
-    run(twin, 12, again)
-    motion = Increment(13.0, np.array([0.3, 0.0, 0.15]), np.diag([0.02, 0.01, 0.02]) ** 2, 1.0)
-    seen = observe(compose(np.zeros(3), motion.d_pose))
-    revision = made.add(keyframe(12, motion, (spoil(seen[0]), *seen[1:])))
-    by_motion = twin.add(keyframe(12, motion))
-    assert "\n" not in revision.refused
-    assert "13.000 s" in revision.refused
-    assert revision.matches == revision.added == revision.removed == ()
-    np.testing.assert_array_equal(revision.poses, by_motion.poses)
-    np.testing.assert_array_equal(revision.covariances, by_motion.covariances)
-    for k, (pose, motion) in enumerate(drive(5), 13):
-        later = keyframe(k, replace(motion, stamp=float(k + 1)), observe(pose))
-        assert told(made.add(later)) == told(twin.add(later))
+    *_, pose = run(made, k, rng)[0]
+    run(twin, k, again)
+    P = np.diag([0.02, 0.01, 0.02]) ** 2
+    for name, spoil in BAD.items():
+        for is_bad in (True, False, False):
+            motion = Increment(k + 1.0, np.array([0.3, 0.0, 0.15]), P, 1.0)
+            pose = compose(pose, motion.d_pose)
+            seen = observe(pose)
+            if is_bad:
+                revision = made.add(keyframe(k, motion, (spoil(seen[0]), *seen[1:])))
+                by_motion = twin.add(keyframe(k, motion))
+                assert "\n" not in revision.refused, name
+                assert f"{k + 1}.000 s" in revision.refused, name
+                assert revision.matches == revision.added == revision.removed == (), name
+                np.testing.assert_array_equal(revision.poses, by_motion.poses, name)
+                np.testing.assert_array_equal(revision.covariances, by_motion.covariances, name)
+            else:
+                later = keyframe(k, motion, seen)
+                assert told(made.add(later)) == told(twin.add(later)), name
+            k += 1
 
 
-@pytest.mark.parametrize(
-    ("d_pose", "P"), [(0.0, np.nan), (np.nan, 1e-4), (np.inf, 1e-4), (np.nan, np.nan)]
-)
-def test_a_keyframe_without_a_finite_motion_changes_no_landmark(make, d_pose, P):
+def test_a_keyframe_without_a_finite_motion_changes_no_landmark(make):
     made, twin = make(), make()
     run(made, 12)
     run(twin, 12)
-    lost = Increment(13.0, np.full(3, d_pose), P * np.eye(3), 1.0)
-    assert "not finite" in made.add(keyframe(12, lost)).refused
-    for a, b in zip(made.landmarks(), twin.landmarks(), strict=True):
-        np.testing.assert_array_equal(a.position, b.position)
-        np.testing.assert_array_equal(a.covariance, b.covariance)
+    lost = (0.0, np.nan), (np.nan, 1e-4), (np.inf, 1e-4), (np.nan, np.nan)
+    for k, (d_pose, P) in enumerate(lost, 12):
+        motion = Increment(k + 1.0, np.full(3, d_pose), P * np.eye(3), 1.0)
+        assert "not finite" in made.add(keyframe(k, motion)).refused
+        for a, b in zip(made.landmarks(), twin.landmarks(), strict=True):
+            np.testing.assert_array_equal(a.position, b.position)
+            np.testing.assert_array_equal(a.covariance, b.covariance)
 
 
 def test_nothing_given_is_changed(make):

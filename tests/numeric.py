@@ -1,4 +1,4 @@
-"""Numerical derivatives, the oracle of every Jacobian."""
+"""Numerical derivatives, the oracle of every Jacobian; angles; noise."""
 
 from collections.abc import Callable
 
@@ -15,6 +15,11 @@ def jacobian(function: Callable[[Array], Array], at: Array, step: float = 1e-6) 
         delta[i] = step
         columns.append((function(at + delta) - function(at - delta)) / (2.0 * step))
     return np.array(columns).T
+
+
+def drawn(rng: np.random.Generator, mean: Array, covariance: Array) -> Array:
+    """Return a normal deviate; numpy's check of the covariance takes longer than the draw."""
+    return rng.multivariate_normal(mean, covariance, check_valid="ignore")
 
 
 def wrapped(difference: Array, *angles: int) -> Array:

@@ -2,6 +2,7 @@
 
 import numpy as np
 from tests.filters.worlds import MODELS, wall_seen
+from tests.numeric import drawn
 
 from impslam.filters.ekf import Ekf
 from impslam.geometry.se2 import inverse, transform
@@ -14,7 +15,7 @@ R_WALL = np.diag([1e-4, 2.5e-5])
 def point(pose, place, label=None, kind="cylinder", rng=None):
     """A point of the map as seen from a pose."""
     z = transform(inverse(pose), np.asarray(place, float)[None])[0]
-    z = z if rng is None else rng.multivariate_normal(z, R_POINT)
+    z = z if rng is None else drawn(rng, z, R_POINT)
     return Observation(kind, z, R_POINT, label=label)
 
 

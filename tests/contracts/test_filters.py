@@ -1,6 +1,7 @@
 """What every filter keeps: exact without noise, consistent with it, the same whatever the frame."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -24,6 +25,13 @@ def belief(request):
     return made
 
 
+@cache
+def noisy(steps, seed):
+    """Return the poses, motions and observations of a drive; drawing them costs as much as a filter."""
+    rng = np.random.default_rng(seed)
+    return [(pose, motion, observe(pose, rng)) for pose, motion in drive(steps, rng)]
+
+
 def test_noiseless_runs_are_exact(belief):
     """With noise told that is too small for means of what is bent to differ from what is seen."""
     belief.start(np.zeros(3), 1e-16 * np.eye(3), MODELS)
@@ -42,11 +50,10 @@ def test_monte_carlo_nees_is_chi_square(belief):
     """Pose NEES over runs is 3 and that of all landmarks jointly their dimension, within 99.9 % bounds."""
     runs, values, of_landmarks = 60, [], []
     for seed in range(runs):
-        rng = np.random.default_rng(seed)
         belief.start(np.zeros(3), 1e-8 * np.eye(3), MODELS)
-        for pose, increment in drive(25, rng):
-            step(belief, increment, observe(pose, rng))
-        error = wrapped(belief.pose - pose, 2)
+        for _, increment, seen in (drawn := noisy(25, seed)):
+            step(belief, increment, seen)
+        error = wrapped(belief.pose - drawn[-1][0], 2)
         values.append(error @ np.linalg.solve(belief.covariance, error))
         if len(joint := belief.landmark_covariance()):
             off = landmark_errors(belief.landmarks())
@@ -86,17 +93,16 @@ def test_the_joint_covariance_of_landmarks_has_their_own_on_its_diagonal(belief)
 
 
 def test_innovations_are_chi_square(belief):
-    rng, d2 = np.random.default_rng(5), []
-    for pose, increment in drive(150, rng):
-        d2 += [m.distance2 for m in step(belief, increment, observe(pose, rng)).matches]
+    d2 = []
+    for _, increment, seen in noisy(150, 5):
+        d2 += [m.distance2 for m in step(belief, increment, seen).matches]
     # Innovations of one scan share the pose's error, so the effective number is smaller.
     assert np.mean(d2) == pytest.approx(2.0, abs=0.25)
 
 
 def test_covariance_stays_symmetric_positive_definite(belief):
-    rng = np.random.default_rng(1)
-    for pose, increment in drive(400, rng):
-        step(belief, increment, observe(pose, rng))
+    for _, increment, seen in noisy(400, 1):
+        step(belief, increment, seen)
     P = belief.belief.covariance
     assert np.array_equal(P, P.T)
     assert np.linalg.eigvalsh(P).min() > 0

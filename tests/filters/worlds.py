@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+from tests.numeric import drawn
 
 from impslam.association.known import Known
 from impslam.geometry.se2 import compose, inverse, transform
@@ -32,11 +33,11 @@ def observe(pose, rng=None):
     """Return every landmark as seen from a pose, labelled; with noise if given a generator."""
     seen = []
     for i, point in enumerate(transform(inverse(pose), CYLINDERS)):
-        z = point if rng is None else rng.multivariate_normal(point, R_POINT)
+        z = point if rng is None else drawn(rng, point, R_POINT)
         seen.append(Observation("cylinder", z, R_POINT, label=i))
     for i, ends in enumerate(WALLS):
         z, in_base = wall_seen(pose, ends)
-        z = z if rng is None else rng.multivariate_normal(z, R_WALL)
+        z = z if rng is None else drawn(rng, z, R_WALL)
         seen.append(Observation("wall", z, R_WALL, np.arange(50), in_base, label=100 + i))
     return tuple(seen)
 
@@ -47,7 +48,7 @@ def drive(steps, rng=None):
     for k in range(steps):
         d = np.array([0.3, 0.0, 0.15])
         pose = compose(pose, d)
-        felt = d if rng is None else d + rng.multivariate_normal(np.zeros(3), Q)
+        felt = d if rng is None else d + drawn(rng, np.zeros(3), Q)
         yield pose, Increment(float(k + 1), felt, Q, 1.0)
 
 

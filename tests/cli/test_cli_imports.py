@@ -10,28 +10,33 @@ import pytest
 from impslam.cli.commands import COMMANDS
 from impslam.cli.map import COMMANDS as MAP_COMMANDS
 
-CODE = (
-    "import json, sys; from impslam.cli import main; code = main(sys.argv[1:]);"
-    "sys.stderr.write(json.dumps([code, list(sys.modules)]))"
-)
+CODE = """
+import json, sys
+from impslam.cli import main
+for words in json.loads(sys.argv[1]):
+    code = main(words)
+    sys.stderr.write(json.dumps([code, list(sys.modules)]) + "\\n")
+"""
 SLOW = {"numpy", "numba", "scipy", "cv2", "matplotlib", "rosbags"}
 NOT_TO_MAP = {"matplotlib", "rosbags", "rich", "scipy.linalg", "scipy.optimize", "scipy.special"}
 """What no run of a text log has to do with."""
 
 
-def imported(*words: object) -> set[str]:
-    """Return the modules that a command has imported when it is done."""
+def imported(*commands: list[str], before: str = "", cwd: Path | None = None) -> list[set[str]]:
+    """Return the modules that are imported after each of several commands in one process."""
     said = subprocess.run(
-        [sys.executable, "-c", CODE, *map(str, words)], capture_output=True, text=True, check=True
-    )
-    code, modules = json.loads(said.stderr.splitlines()[-1])
-    assert code == 0
-    return set(modules)
+        [sys.executable, "-c", before + CODE, json.dumps(commands)],
+        capture_output=True, text=True, check=True, cwd=cwd,
+    )  # fmt: skip
+    ended = [json.loads(line) for line in said.stderr.splitlines() if line.startswith("[")]
+    assert [code for code, _ in ended] == [0] * len(commands), said.stderr
+    return [set(modules) for _, modules in ended]
 
 
-@pytest.mark.parametrize("command", ["", *COMMANDS, *(f"map {name}" for name in MAP_COMMANDS)])
-def test_help_imports_nothing_slow(command: str) -> None:
-    assert imported(*command.split(), "--help") & SLOW == set()
+def test_help_imports_nothing_slow() -> None:
+    commands = ["", *COMMANDS, *(f"map {name}" for name in MAP_COMMANDS)]
+    seen = imported(*([*command.split(), "--help"] for command in commands))
+    assert [c for c, modules in zip(commands, seen, strict=True) if modules & SLOW] == []
 
 
 def carmen(path: Path) -> Path:
@@ -46,10 +51,34 @@ def carmen(path: Path) -> Path:
     return path
 
 
-def test_mapping_a_text_log_imports_little(tmp_path: Path) -> None:
-    log = carmen(tmp_path / "room.log")
-    imported("run", log, "-o", tmp_path / "first", "--quiet")  # which compiles what it needs
-    modules = imported("run", log, "-o", tmp_path / "second", "--quiet")
+OF_EXTRAS = {
+    "arro3", "cobs", "cryptography", "distributed", "fastapi", "gtsam", "h11", "ifaddr", "nicegui",
+    "optuna", "pynmeagps", "rerun", "serial", "starlette", "uvicorn",
+}  # fmt: skip
+"""What `pip install impslam` does not install."""
+WITHOUT_EXTRAS = f"import sys; sys.modules.update(dict.fromkeys({sorted(OF_EXTRAS)}));"
+
+
+@pytest.fixture(scope="module")
+def without_extras(tmp_path_factory: pytest.TempPathFactory) -> dict[str, set[str]]:
+    """The modules after each of several commands, which compile what mapping a text log needs."""
+    folder = tmp_path_factory.mktemp("log")
+    carmen(folder / "room.log")
+    commands = "run room.log -o run --quiet", "inspect room.log", "config", "list"
+    seen = imported(*map(str.split, commands), before=WITHOUT_EXTRAS, cwd=folder)
+    return {command.split()[0]: modules for command, modules in zip(commands, seen, strict=True)}
+
+
+def test_it_works_without_the_extras(without_extras: dict[str, set[str]]) -> None:
+    for command, modules in without_extras.items():
+        beside = {m for m in modules if m.startswith(("impslam.platform.", "impslam.studies."))}
+        devices = {m for m in beside if m.startswith("impslam.platform.devices")}
+        assert beside == (devices if command == "list" else set()), command
+
+
+def test_mapping_a_text_log_imports_little(tmp_path: Path, without_extras: object) -> None:
+    log, folder = carmen(tmp_path / "room.log"), tmp_path / "run"
+    (modules,) = imported(["run", str(log), "-o", str(folder), "--quiet"])
     assert modules & NOT_TO_MAP == set()
     assert not any(m.startswith("numba.np.arraymath") for m in modules)  # machine code needs none
     readers = {m for m in modules if m.startswith("impslam.sources.")}
@@ -59,29 +88,3 @@ def test_mapping_a_text_log_imports_little(tmp_path: Path) -> None:
     assert "impslam.association.jcbb" not in modules
     assert "impslam.estimators.graph" in modules
     assert "impslam.estimators.particles" not in modules
-
-
-OF_EXTRAS = {
-    "arro3", "cobs", "cryptography", "distributed", "fastapi", "gtsam", "h11", "ifaddr", "nicegui",
-    "optuna", "pynmeagps", "rerun", "serial", "starlette", "uvicorn",
-}  # fmt: skip
-"""What `pip install impslam` does not install."""
-WITHOUT_EXTRAS = f"import sys; sys.modules.update(dict.fromkeys({sorted(OF_EXTRAS)}));" + CODE
-
-
-@pytest.mark.parametrize(
-    "words",
-    [("run", "room.log", "-o", "run"), ("inspect", "room.log"), ("config",), ("list",)],
-    ids=" ".join,
-)
-def test_it_works_without_the_extras(words: tuple[str, ...], tmp_path: Path) -> None:
-    carmen(tmp_path / "room.log")
-    said = subprocess.run(
-        [sys.executable, "-c", WITHOUT_EXTRAS, *words],
-        capture_output=True, text=True, check=True, cwd=tmp_path,
-    )  # fmt: skip
-    code, modules = json.loads(said.stderr.splitlines()[-1])
-    assert code == 0
-    beside = {m for m in modules if m.startswith(("impslam.platform.", "impslam.studies."))}
-    devices = {m for m in beside if m.startswith("impslam.platform.devices")}
-    assert beside == (devices if words == ("list",) else set())

@@ -221,9 +221,9 @@ def test_output_that_is_not_ours(imp, room, tmp_path) -> None:
     assert (tmp_path / "thesis.tex").read_text() == "years of work"
 
 
-def test_output_that_cannot_be_made(imp, room, tmp_path) -> None:
+def test_output_that_cannot_be_made(imp, brief, tmp_path) -> None:
     (tmp_path / "file").write_text("")
-    fails(imp("run", room, "-o", tmp_path / "file" / "run"), "file")
+    fails(imp("run", brief, "-o", tmp_path / "file" / "run"), "file")
     fails(imp("simulate", "room", "-o", tmp_path / "file" / "x.mcap"), "file")
 
 
@@ -313,8 +313,8 @@ def test_closed_pipe_is_quiet(words) -> None:
 
 
 @pytest.mark.parametrize("err", [False, True])
-def test_a_command_whose_reader_has_left_does_all_of_its_work(room, tmp_path, err) -> None:
-    assert ended_without_reader("run", room, "-v", "-o", tmp_path / "run", err=err) == (0, "")
+def test_a_command_whose_reader_has_left_does_all_of_its_work(brief, tmp_path, err) -> None:
+    assert ended_without_reader("run", brief, "-v", "-o", tmp_path / "run", err=err) == (0, "")
     assert (tmp_path / "run" / "map.imp").exists()
 
 
@@ -397,7 +397,7 @@ def test_a_full_disk_is_told_with_the_file(imp, tmp_path, monkeypatch) -> None:
         ("self._walls", "AttributeError: 'Broken' object has no attribute '_walls'"),  # by pydantic
     ],
 )
-def test_an_error_of_a_plug_in_names_it(imp, room, tmp_path, returned, named) -> None:
+def test_an_error_of_a_plug_in_names_it(imp, brief, tmp_path, returned, named) -> None:
     plug_in = tmp_path / "mine.py"
     plug_in.write_text(f"""
 from impslam.component import register
@@ -414,7 +414,7 @@ class Broken(Circle):
         "sensors.lidar.extractors.mine.kind=broken",
     )
     with own_registry():
-        said = imp("run", room, "-c", "imp", "-o", tmp_path / "run", *parts)
+        said = imp("run", brief, "-c", "imp", "-o", tmp_path / "run", *parts)
     where = f"raised by extractor 'broken' of the plug-in {plug_in}, line 7"
     fails(said, f"{named}; {where}", code=1)
 
@@ -433,7 +433,7 @@ class Broken(Circle):
         ("[seen(R=np.eye(3))]", "a cylinder whose z and R are no arrays of shapes (2,)"),
     ],
 )
-def test_an_extractor_that_returns_no_observations_is_named(imp, room, tmp_path, returned, named):
+def test_an_extractor_that_returns_no_observations_is_named(imp, brief, tmp_path, returned, named):
     plug_in = tmp_path / "mine.py"
     plug_in.write_text(f"""
 import numpy as np
@@ -450,7 +450,7 @@ class Broken(Extractor):
 """)
     parts = ("--set", f'plugins=["{plug_in}"]', "--set", "sensors.lidar.extractors.a.kind=broken")
     with own_registry():
-        said = imp("run", room, "-c", "imp", "-o", tmp_path / "run", *parts)
+        said = imp("run", brief, "-c", "imp", "-o", tmp_path / "run", *parts)
     fails(said, f"error: extractor 'broken' returned {named}")
 
 
@@ -480,7 +480,7 @@ OTHERS = [  # an output that exists, and is not what the command writes
 
 @pytest.mark.parametrize("words", [*INPUTS_AS_OUTPUTS, *OTHERS])
 def test_no_command_overwrites_its_inputs_or_foreign_files(
-    imp, room, tmp_path, monkeypatch, words
+    imp, brief, tmp_path, monkeypatch, words
 ) -> None:
     monkeypatch.chdir(tmp_path)
     known = mapped(OFFICE, np.zeros((2, 3)))
@@ -488,7 +488,7 @@ def test_no_command_overwrites_its_inputs_or_foreign_files(
         known.save(Path(name))
     (tmp_path / "run").mkdir()
     known.save(Path("run/map.imp"))
-    Path("log.mcap").write_bytes(room.read_bytes())
+    Path("log.mcap").write_bytes(brief.read_bytes())
     Path("link.mcap").symlink_to("log.mcap")
     for name in ("places.csv", "true.tum", "mine.toml", "hall.toml", "film.mp4", "film.tum"):
         Path(name).write_text("0 1 2 0 0 0 0 1\n")

@@ -36,21 +36,21 @@ def test_exports_are_written_and_listed(imp, room, tmp_path, monkeypatch):
     ],
 )
 def test_an_unusable_export_path_is_rejected_before_the_run(
-    imp, room, tmp_path, option, name, said
+    imp, brief, tmp_path, option, name, said
 ):
     (tmp_path / "a.mp4").mkdir()
-    done = imp("run", room, "-o", tmp_path / "run", option, tmp_path / name)
+    done = imp("run", brief, "-o", tmp_path / "run", option, tmp_path / name)
     assert done.code == 2
     assert said in done.err
     assert not (tmp_path / "run").exists()
 
 
-def test_a_failed_export_leaves_a_complete_map(imp, room, tmp_path, monkeypatch):
+def test_a_failed_export_leaves_a_complete_map(imp, brief, tmp_path, monkeypatch):
     def full(*_):
         raise ImpError("run.mcap: cannot be written (No space left on device)")
 
     monkeypatch.setattr(ros_map, "write_ros_map", full)
-    done = imp("run", room, "-o", tmp_path / "run", "--mcap", tmp_path / "run.mcap")
+    done = imp("run", brief, "-o", tmp_path / "run", "--mcap", tmp_path / "run.mcap")
     assert done.code == 2
     assert done.err.endswith(
         f"(No space left on device); {tmp_path / 'run'} contains the complete map\n"

@@ -171,33 +171,34 @@ def test_json(imp, room) -> None:
     assert facts["problems"] == facts["findings"] == []
 
 
-def write_arena(folder) -> None:
-    messages = simulate(load_world("arena"), seed=0)
-    with McapWriter(folder / "arena.mcap", "imp") as writer:
-        for message in islice(messages, 12_000):
+@pytest.fixture(scope="module")
+def arena(tmp_path_factory):
+    """The beginning of a drive through the arena."""
+    log = tmp_path_factory.mktemp("arena") / "arena.mcap"
+    with McapWriter(log, "imp") as writer:
+        for message in islice(simulate(load_world("arena"), seed=0), 12_000):
             writer.write(message)
+    return log
 
 
-def test_a_sweep_in_the_wrong_order_is_named_before_a_run(imp, tmp_path) -> None:
-    write_arena(tmp_path)
+def test_a_sweep_in_the_wrong_order_is_named_before_a_run(imp, arena, tmp_path) -> None:
     wrong = "--set", "sensors.lidar.last_beam_first=true"
     problem = "problem: sweep reversed: the first beam of a scan was measured first: "
     for command in (("inspect",), ("run", "-o", tmp_path / "run")):
-        words = " ".join(imp(*command, tmp_path / "arena.mcap", *wrong).out.split())
+        words = " ".join(imp(*command, arena, *wrong).out.split())
         assert problem in words
         assert "--set sensors.lidar.last_beam_first=false" in words
 
 
-def test_a_finding_and_its_setting(imp, tmp_path) -> None:
+def test_a_finding_and_its_setting(imp, arena, tmp_path) -> None:
     """A drive of the arena read with another robot's wheels: named by inspect and by the run itself."""
-    write_arena(tmp_path)
     wrong = "odometry.wheel_radius=0.11", "odometry.track=0.693"
     settings = [word for one in wrong for word in ("--set", one)]
-    said = imp("inspect", tmp_path / "arena.mcap", *settings).out
+    said = imp("inspect", arena, *settings).out
     assert "problem: wrong preset: " in said
     assert "they fit preset imp: -c imp" in said
     assert "no problems found" not in said
-    run = imp("run", tmp_path / "arena.mcap", "-o", tmp_path / "run", *settings).out
+    run = imp("run", arena, "-o", tmp_path / "run", *settings).out
     assert "reads: preset imp; scan /scan" in run
     assert "problem: wrong preset: " in run
 

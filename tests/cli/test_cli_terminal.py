@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from impslam.cli import main
 from impslam.platform.console.accounts import Accounts
 
 IMP = Path(sys.executable).with_name("imp")
@@ -89,7 +90,7 @@ def test_quick_commands_work_in_a_terminal(
     words: tuple[str, ...], room: Path, tmp_path: Path
 ) -> None:
     if "{run}" in words:
-        assert in_terminal("run", room, "-o", tmp_path, "--quiet")[0] == 0
+        assert main(["run", str(room), "-o", str(tmp_path), "--quiet"]) == 0
     code, said = in_terminal(*(w.format(run=tmp_path) for w in words))
     assert code == 0, said
     assert len(said.splitlines()) > 3

@@ -12,40 +12,43 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.cli.forked import Forked
 
 from impslam.cli.run_folder import RUN_FILES
 from impslam.estimators.graph import Graph
 from impslam.estimators.landmarks import Landmarks
 from impslam.evaluation.tum import read_tum
+from impslam.health import SOUND
 from impslam.map import Map
 from impslam.provenance import fingerprint
 
 WRITTEN = RUN_FILES - {"graph.g2o", "truth.landmarks.csv"}
-# Programs that nohup starts, this test among them, ignore SIGHUP.
 SLOWLY = """
-import resource, signal, sys, time
-signal.signal(signal.SIGHUP, signal.SIG_DFL)
-from impslam.cli import bar, main
+import resource, time
+import impslam.cli.run
+from impslam.cli import bar
+from impslam.health import SOUND
 from impslam.observers import recorder, trajectory
+diagnosis, impslam.cli.run._initial_health = impslam.cli.run._initial_health, lambda *_, **__: SOUND
 trajectory.FLUSH_ROWS = 1
 {more}
 bar.RunBar._advance = lambda self, scans: time.sleep(0.03 * scans)
-sys.exit(main(sys.argv[1:]))
 """
 STUCK = "recorder.write_end = lambda *_: (print('writing', flush=True), time.sleep(60))"
 
 
-def started(*words: object, more: str = "") -> subprocess.Popen[str]:
-    """Start `imp` so that a scan takes 30 ms."""
-    return subprocess.Popen(
-        [sys.executable, "-c", SLOWLY.format(more=more), *map(str, words)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+@pytest.fixture(autouse=True)
+def undiagnosed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave out the diagnosis of the log, more than half of a run of the room."""
+    monkeypatch.setattr("impslam.cli.run._initial_health", lambda *_, **__: SOUND)
 
 
-def wait_for_scans(process: subprocess.Popen[str], folder: Path, scans: int = 20) -> None:
+def started(*words: object, more: str = "") -> Forked:
+    """Start `imp` so that a scan takes 30 ms, without a diagnosis of the log."""
+    return Forked(*words, setup=SLOWLY.format(more=more))
+
+
+def wait_for_scans(process: Forked, folder: Path, scans: int = 20) -> None:
     """Wait until the run has written so many scans of its path."""
     end = time.monotonic() + 120.0
     path = folder / "trajectory.live.tum"
@@ -55,7 +58,7 @@ def wait_for_scans(process: subprocess.Popen[str], folder: Path, scans: int = 20
         time.sleep(0.01)
 
 
-def end(process: subprocess.Popen[str], number: signal.Signals, within: float) -> str:
+def end(process: Forked, number: signal.Signals, within: float) -> str:
     """Send a signal, check that it ends the process within so many seconds; return stderr."""
     begin = time.monotonic()
     process.send_signal(number)
@@ -165,7 +168,8 @@ def test_a_signal_before_the_first_scan_leaves_nothing(room, tmp_path, stage, si
     """The first lets the stage end, because native code may lose or not survive an exception."""
     seconds = 1.0 if signals == 1 else 60.0
     more = f"""
-import impslam.cli.run, impslam.open_log
+import impslam.open_log
+impslam.cli.run._initial_health = diagnosis
 stage = {stage}
 def slow(*args, **options):
     print("begun", flush=True)
@@ -179,17 +183,19 @@ def slow(*args, **options):
         for _ in range(signals):
             process.send_signal(signal.SIGINT)
             time.sleep(0.2)
-        out, err = process.communicate(timeout=30)
+        out, err = process.communicate()
     assert (process.returncode, err) == (130, "imp: interrupted\n")
     assert ("ended" in out) == (signals == 1)
     assert not (tmp_path / "run").exists()
 
 
 @pytest.mark.parametrize(
-    ("number", "said", "code"),
-    [(signal.SIGINT, "interrupted", 130), (signal.SIGTERM, "terminated", 143)],
+    ("words", "number", "said", "code"),
+    [
+        (("merge", "a.imp", "b.imp"), signal.SIGINT, "interrupted", 130),
+        (("localise", "a.imp", "log"), signal.SIGTERM, "terminated", 143),
+    ],
 )
-@pytest.mark.parametrize("words", [("merge", "a.imp", "b.imp"), ("localise", "a.imp", "log")])
 def test_a_signal_ends_work_on_maps_with_one_line(tmp_path, words, number, said, code) -> None:
     slow = """
 from impslam import localisation, map as maps

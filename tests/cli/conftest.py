@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from impslam.cli import main
+from impslam.health import SOUND
 from impslam.simulation.simulate import simulate
 from impslam.simulation.world import load_world
 from impslam.sources.recording import McapWriter
@@ -34,6 +35,12 @@ def imp(capfd: pytest.CaptureFixture[str]) -> Imp:
         return Result(code, *capfd.readouterr())
 
     return call
+
+
+@pytest.fixture
+def undiagnosed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave out the diagnosis of a log before `imp run`, more than half of a run of the room."""
+    monkeypatch.setattr("impslam.cli.run._initial_health", lambda *_, **__: SOUND)
 
 
 @pytest.fixture(scope="session")

@@ -18,10 +18,10 @@ from impslam.cli.run_folder import RUN_FILES
 from impslam.estimators.graph import Graph
 from impslam.estimators.landmarks import Landmarks
 from impslam.evaluation.tum import read_tum
-from impslam.health import SOUND
 from impslam.map import Map
 from impslam.provenance import fingerprint
 
+pytestmark = pytest.mark.usefixtures("undiagnosed")
 WRITTEN = RUN_FILES - {"graph.g2o", "truth.landmarks.csv"}
 SLOWLY = """
 import resource, time
@@ -35,12 +35,6 @@ trajectory.FLUSH_ROWS = 1
 bar.RunBar._advance = lambda self, scans: time.sleep(0.03 * scans)
 """
 STUCK = "recorder.write_end = lambda *_: (print('writing', flush=True), time.sleep(60))"
-
-
-@pytest.fixture(autouse=True)
-def undiagnosed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Leave out the diagnosis of the log, more than half of a run of the room."""
-    monkeypatch.setattr("impslam.cli.run._initial_health", lambda *_, **__: SOUND)
 
 
 def started(*words: object, more: str = "") -> Forked:

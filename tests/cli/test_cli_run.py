@@ -32,6 +32,7 @@ def test_the_folder_is_complete(done) -> None:
     assert len(np.loadtxt(done / "trajectory.tum")) == 100
 
 
+@pytest.mark.usefixtures("undiagnosed")
 def test_true_landmarks_are_those_beside_the_log(imp, done, room, tmp_path) -> None:
     beside = room.with_name("room.landmarks.csv")
     assert (done / "truth.landmarks.csv").read_text() == beside.read_text()
@@ -59,6 +60,7 @@ def test_output(imp, room, tmp_path) -> None:
     assert f"report: {tmp_path / 'report.html'}" in words
 
 
+@pytest.mark.usefixtures("undiagnosed")
 def test_output_of_loops_and_of_a_run_without_odometry(imp, room, tmp_path) -> None:
     alone = ("odometry.kind=lidar_only", "tracker.kind=scan_to_map", "estimator.kind=graph")
     said = imp("run", room, "-o", tmp_path, *(part for s in alone for part in ("--set", s)))
@@ -79,6 +81,7 @@ def test_quiet(imp, room, tmp_path) -> None:
     assert imp("run", room, "-o", tmp_path, "--quiet").out == ""
 
 
+@pytest.mark.usefixtures("undiagnosed")
 def test_default_folder(imp, room, tmp_path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     for _ in range(2):  # within a second, as like as not
@@ -104,6 +107,7 @@ def test_runs_started_at_the_same_time_get_separate_folders(tmp_path, monkeypatc
         assert (first.name, second.name) == ("log-20260101-000000", "log-20260101-000000-2")
 
 
+@pytest.mark.usefixtures("undiagnosed")
 def test_settings_and_topics(imp, room, tmp_path) -> None:
     words = ["--set", "robot=other", "--set", "grid.resolution=0.1", "--topic", "imu="]
     assert imp("run", room, "-o", tmp_path, *words[:4], "--topic", "scan=/scan").code == 0

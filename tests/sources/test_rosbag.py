@@ -137,6 +137,15 @@ def test_headers_without_stamp_fall_back_on_the_time_of_logging(tmp_path: Path) 
     assert source.problems.counts == {"no stamp": 2}
 
 
+@pytest.mark.parametrize("missing", [0, 2])
+def test_headers_without_stamp_are_as_late_as_the_others(tmp_path: Path, missing: int) -> None:
+    begin = 1_700_000_000.0
+    stamps = [0.0 if k == missing else begin + k for k in range(5)]
+    found, source = read(bag(tmp_path / "b", *(("/s", scan(ROS2, stamp)) for stamp in stamps)))
+    np.testing.assert_allclose([m.stamp - begin for m in found], range(5), atol=1e-6)
+    assert source.problems.counts == {"no stamp": 1}
+
+
 def test_bad_messages_are_counted_and_dropped(tmp_path: Path) -> None:
     path = bag(
         tmp_path / "b",

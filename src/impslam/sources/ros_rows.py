@@ -72,7 +72,7 @@ class RowReader:
         self._odometry, self._problems = odometry, problems
         wheels = [topic for topic, use in uses.items() if use == "wheels"]
         self._wheel_topics = {topic for topic in wheels if joint_fault(bag, topic, joints) is None}
-        self._stamps = HeaderStamps(path, bag, uses, problems)
+        self._stamps = HeaderStamps(path, bag, uses, odometry, problems)
 
     def part(self, records: Sequence[NumberedRecord]) -> list[Piece]:
         """Return the rows of some messages."""

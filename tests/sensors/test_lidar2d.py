@@ -144,9 +144,9 @@ def test_origins_and_directions_lead_to_the_points():
 
 
 def test_invalid_are_zero_nan_inf_negative_codes_and_beyond_limits():
-    ranges = [0.0, math.nan, math.inf, -math.inf, -1.0, 0.019, 0.02, 5.6, 5.7, 3.0]
+    ranges = [0.0, math.nan, math.inf, -math.inf, -1.0, 0.019, 0.02, 5.599, 5.6, 5.7, 3.0]
     scan = observe(Lidar2D(range_min=0.02, range_max=5.6), sweep(ranges))
-    assert scan.valid.tolist() == [False] * 6 + [True, True, False, True]
+    assert scan.valid.tolist() == [False] * 6 + [True, True, False, False, True]
     assert np.isfinite(scan.points).all()
 
 

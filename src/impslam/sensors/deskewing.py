@@ -4,8 +4,9 @@ The beams of a sweep are fired while the robot moves. With a constant body twist
 exp(t xi) when a beam is fired t seconds after the middle of the sweep; the beam's origin and end point are
 transformed by that motion.
 
-A beam is valid if its range is valid (REP 117: finite and within the limits, unlike drivers' 0 for no
-return and the lidar's error codes below its smallest range) and its direction is within the field of view.
+A beam is valid if its direction is within the field of view and its range is valid (REP 117): finite, not 0
+as of drivers that see nothing, not below the smallest range as error codes are, and below the largest one:
+many drivers report exactly range_max if nothing returns, and a surface is hardly ever at just that range.
 """
 
 from __future__ import annotations
@@ -54,7 +55,7 @@ def deskew_sweeps(
         vx, vy, omega = twists[k]
         for i in range(n):
             r = ranges[k, i]
-            usable = in_field[i] and calibration[2] <= r <= calibration[3] and 0.0 < r < np.inf
+            usable = in_field[i] and calibration[2] <= r < calibration[3] and r > 0.0
             r = calibration[0] * r + calibration[1] if usable else 0.0
             t = beams[i, 1]
             theta = omega * t

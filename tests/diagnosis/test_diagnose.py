@@ -374,6 +374,15 @@ def test_the_times_of_beams_are_not_looked_for_where_nothing_is_deskewed(drive) 
         assert not {"sweep reversed", "sweep time wrong"} & {*kinds}
 
 
+def test_before_a_run_missing_times_are_found_of_lidars_that_see_all_around(
+    drive, slow_drive
+) -> None:
+    for log, expected in ((drive, []), (slow_drive, ["sweep time wrong"])):
+        wrong = list(faults.faulty(log, faults.sweep_of(0.0)))
+        problems = diagnose(load("imp"), wrong, {}, is_quick=True)
+        assert [one.kind for one in problems if one.harmful] == expected
+
+
 def test_sweeps_without_turns_do_not_show_the_order_of_beams(drive) -> None:
     still = [batch for batch in drive if all((c.stamps < 3.0).all() for c in batch.values())]
     assert found(faults.faulty(still, faults.reversed_sweep())) == []

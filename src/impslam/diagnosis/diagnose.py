@@ -98,10 +98,11 @@ def _first_roots(checks: Sequence[Check], e: Evidence) -> list[Finding]:
 def _checks(e: Evidence, is_quick: bool) -> Sequence[Check]:
     """Return the checks of a lidar; the times of its beams take half a second to check.
 
-    A config that states the duration of a sweep was made for the driver that recorded the log, and many
-    logs have no such times.
+    A config that states the duration of a sweep was made for the driver that recorded the log. Many logs
+    have no such times; only lidars that see all around measure for so long that this does harm.
     """
-    is_known = is_quick and (e.lidar.period != 0.0 or e.sweep_time == 0.0)
+    is_instant = e.sweep_time == 0.0 and not e.sees_all_around
+    is_known = is_quick and (e.lidar.period != 0.0 or is_instant)
     if not is_known:
         return CHECKS
     return [check_stamps if check is check_times else check for check in CHECKS]

@@ -21,6 +21,8 @@ from impslam.odometry.base import Odometry
 from impslam.sensors.lidar2d import Lidar2D
 from impslam.types import Array, Ints
 
+FULL_VIEW = 6.0
+"""rad: a lidar with this field of view sees the same surfaces in any heading."""
 MAX_SIDEWAYS = 0.1
 """Largest ratio of sideways to forward distance by odometry of a robot with an axle."""
 
@@ -72,6 +74,11 @@ class Evidence:
     def untimed(self) -> bool:
         """Whether the log has no usable times; findings that need them are not made."""
         return self.recording.untimed
+
+    @property
+    def sees_all_around(self) -> bool:
+        """Whether any of the lidar's scans has a full field of view."""
+        return any(np.ptp(piece["angles"]) > FULL_VIEW for piece in self.recording.scans)
 
     @property
     def lidar_key(self) -> str:

@@ -18,7 +18,7 @@ import numpy as np
 
 from impslam.calibration.lidar_path import LidarPath, unmounted
 from impslam.columns import Columns
-from impslam.diagnosis.evidence import Evidence
+from impslam.diagnosis.evidence import FULL_VIEW, Evidence
 from impslam.diagnosis.finding import Finding, is_off, probability_off
 from impslam.diagnosis.mount import YAW_TOLERANCE
 from impslam.diagnosis.stamps import check_stamps
@@ -40,8 +40,6 @@ MIN_TURN = 0.03
 """rad that the turns of the two scans of a pair differ by per period: 15 cm of a surface 5 m away."""
 MAX_DISTANCE, MAX_VIEW_SHARE = 0.5, 0.35
 """m, and share of the field of view, between the scans of a pair: they see mostly the same surfaces."""
-FULL_VIEW = 6.0
-"""rad: a lidar with this field of view sees the same surfaces in any heading."""
 NEIGHBOURS = 40
 """Scans before and after one, among which is its partner: over a few seconds, the path hardly drifts."""
 MAX_PAIRS, MIN_PAIRS = 40, 12

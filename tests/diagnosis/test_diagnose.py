@@ -367,6 +367,10 @@ def test_a_sweep_time_of_the_config_that_is_wrong_is_named(drive) -> None:
     assert "as sensors.lidar.sweep_time says" in problem.what
 
 
+def test_a_sweep_time_of_the_config_may_exceed_the_period_by_rounding(slow_drive) -> None:
+    assert harm(slow_drive, "sensors.lidar.sweep_time=0.1002") == {}
+
+
 def test_the_times_of_beams_are_not_looked_for_where_nothing_is_deskewed(drive) -> None:
     for change in (faults.reversed_sweep(), faults.sweep_of(0.0)):
         wrong = faults.faulty(drive, change)

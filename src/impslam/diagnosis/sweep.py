@@ -120,7 +120,8 @@ def _estimate(e: Evidence) -> tuple[float, float] | None:
         return None
     from impslam.diagnosis.sweep_time import sweep_time  # noqa: PLC0415  0.2 s, only after turns
 
-    own = Lidar2D(**{**unmounted(e.lidar).model_dump(), "deskew": True, "last_beam_first": False})
+    free = {"deskew": True, "last_beam_first": False, "sweep_time": math.nan}
+    own = Lidar2D(**{**unmounted(e.lidar).model_dump(), **free})
     return sweep_time(own, e.recording.scans, e.path, pairs, e.sweep_time, period)
 
 

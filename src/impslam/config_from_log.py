@@ -103,6 +103,8 @@ def _describe_other(stream: str, mount: Mount, lasers: Sequence[tuple[str, str, 
     bases = {own.base for _, _, own in lasers if own.pose is not None}
     if bases and mount.base not in bases:  # no transform links it to the robot
         return f"is the lidar of another robot, which --topic scan={stream} maps instead"
+    if mount.pose == (0.0, 0.0, 0.0):
+        return f"is in the robot's own frame, as merged scans are; --topic scan={stream} reads it instead"
     return (
         "is another lidar, added by --set sensors.NAME.kind=lidar2d --set "
         f"sensors.NAME.stream={stream}"

@@ -1,5 +1,6 @@
 """Frames of ROS logs that are wrong: each said in one line, and nothing false used."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -327,6 +328,19 @@ def test_a_second_topic_of_the_same_laser_is_not_another_lidar(entries, tmp_path
     copies = [(t, "/stable", message) for t, topic, message in entries if topic == "/scan"][1:]
     line = read(bag(tmp_path, [*entries, *copies], links(*URDF)))[2]
     assert "is from the same laser as /scan; --topic scan=/stable reads it instead" in line
+    assert "another lidar" not in line
+
+
+def test_scans_in_the_robots_own_frame_are_not_another_lidar(entries, tmp_path):
+    """They are merged from several lidars; with one of them, the map would use its beams twice."""
+    merged = [
+        (t, "/scan_merged", dataclasses.replace(m, header=T.header(STAMP + t, "base_link")))
+        for t, topic, m in entries
+        if topic == "/scan"
+    ][1:]
+    line = read(bag(tmp_path, [*entries, *merged], links(*URDF)))[2]
+    own = "is in the robot's own frame, as merged scans are; --topic scan=/scan_merged reads it instead"
+    assert own in line
     assert "another lidar" not in line
 
 

@@ -344,6 +344,16 @@ def test_scans_in_the_robots_own_frame_are_not_another_lidar(entries, tmp_path):
     assert "another lidar" not in line
 
 
+def test_a_scan_of_a_lidar_is_preferred_to_merged_scans(entries, tmp_path):
+    merged = [
+        (t, "/a", dataclasses.replace(m, header=T.header(STAMP + t, "base_link")))
+        for t, topic, m in entries
+        if topic == "/scan"
+    ]
+    line = read(bag(tmp_path, [*entries, *merged], links(*URDF)))[2]
+    assert "scan /scan (mount [0.100 m, 0.050 m, 0.0 deg]" in line
+
+
 def test_contradictory_static_transforms_are_reported_and_scans_used(entries, tmp_path):
     rival = ("base_link", "laser", [0.3, 0.05, 0.1], [0, 0, 0.5])
     log = bag(tmp_path, entries, links(*URDF), (0.35, T.links(STAMP, [rival])))

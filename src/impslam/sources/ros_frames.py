@@ -164,6 +164,11 @@ class Frames:
         known = all(self._base(frame) for frame in self.lasers.values())
         return known and bool(self._children or all(map(self.odometry, self.lasers)))
 
+    @property
+    def merged(self) -> set[str]:
+        """Topics of scans in the frame of a base: they are merged from several lidars, unless alone."""
+        return {topic for topic, frame in self.lasers.items() if _last(frame) in BASES}
+
     def odometry(self, scan: str) -> Edge | None:
         """Return the transform from odom to an ancestor of a topic's laser frame, or else to base."""
         found = [

@@ -82,11 +82,14 @@ Counts: TypeAlias = dict[tuple[str, str], int]
 """Number of messages by (topic, type)."""
 
 
-def choose(log: Path, requested: Mapping[Use, str], counts: Counts) -> dict[str, Use]:
+def choose(
+    log: Path, requested: Mapping[Use, str], counts: Counts, merged: Collection[str] = ()
+) -> dict[str, Use]:
     """Return what each topic is used for: the requested topics, then the best for each other use.
 
     The best one has the first type in `TYPES`, then the most messages; for odometry, topics in the same
-    namespace as the scans and those named odom (REP 105) are preferred.
+    namespace as the scans and those named odom (REP 105) are preferred. Scans in `merged` come last: their
+    beams are from several lidars, at times that are lost.
     """
     uses: dict[str, Use] = {}
     for use, topic in requested.items():
@@ -103,7 +106,7 @@ def choose(log: Path, requested: Mapping[Use, str], counts: Counts) -> dict[str,
             if k in kinds and n and k not in POSE_TYPES
         ]
         fit = [
-            (kind, use == "odometry" and _unlikely(topic, scan), -n, topic)
+            (kind, topic in merged, use == "odometry" and _unlikely(topic, scan), -n, topic)
             for kind, topic, n in free
             if topic not in uses and is_truth(topic) == (use == "truth")
         ]

@@ -111,7 +111,7 @@ class RosBag(Source):
         try:
             frames = self._frames = self._frames or Frames(self.path, self._bag, self._problems)
             counts = self._usable(self._bag, frames)
-            self._defaults = choose(self.path, self.topics, counts)
+            self._defaults = choose(self.path, self.topics, counts, frames.merged)
             self._uses = choose_wanted(self.wanted, counts) | self._defaults
             odometry = self._default("odometry"), self._edge
             self._mounts, self._antennas = frames.mounts(*odometry), frames.antennas(*odometry)
@@ -219,7 +219,10 @@ class RosBag(Source):
         counts = count_messages(bag.connections)
         without_tf = {(t, k): n for (t, k), n in counts.items() if k not in TF_TYPES}
         self._defaults = choose(
-            self.path, {u: t for u, t in self.topics.items() if u == "scan"}, without_tf
+            self.path,
+            {u: t for u, t in self.topics.items() if u == "scan"},
+            without_tf,
+            frames.merged,
         )
         clouds = sorted(topic for (topic, kind), n in counts.items() if n and kind == CLOUD_TYPE)
         self._clouds = [] if self._default("scan") else clouds

@@ -14,7 +14,7 @@ from impslam.geometry.se2 import compose, exp, inverse, log
 from impslam.odometry.clocks import Clocks
 from impslam.odometry.holding import MAX_ROWS
 from impslam.odometry.stream import OdometryStream
-from impslam.odometry.synchroniser import MAX_WAIT, MIN_DURATION
+from impslam.odometry.synchroniser import MAX_DELAY, MAX_WAIT, MIN_DURATION
 from impslam.types import Increment
 
 
@@ -93,6 +93,7 @@ class Reference:
         self.stream, self.sensors, self.used = stream, sensors, []
         self.odometry, self.clocks, self.numbers = OdometryStream(odometry), Clocks(), {}
         self.timeline, self.waiting, self.held, self.newest = Timeline(), deque(), [], -np.inf
+        self.arrived = -np.inf  # position in the log of the newest odometry
 
     def feed(self, stream, message, order):
         (row,) = single_row(stream, message, order).values()
@@ -103,6 +104,7 @@ class Reference:
             (shift,), (time,), (by_order,) = placed.shifts, placed.times, placed.by_order
             self.newest = max(self.newest, time)
         if stream == self.stream:
+            self.arrived = order
             motions, _, _ = self.odometry.motions(row, placed)
             increment = motions.row(0)
             if np.isnan(increment.d_pose).any():
@@ -120,7 +122,8 @@ class Reference:
                 due = -np.inf
                 for other in self.held:
                     other.due = -np.inf if other.sensor == name else other.due
-            self.held.append(Row(name, row, begin, end, time, order, by_order, due))
+            moment = begin if time - end > MAX_DELAY else time
+            self.held.append(Row(name, row, begin, end, moment, order, by_order, due))
         self.queue(order, self.newest)
         self.release(order)
 
@@ -137,7 +140,9 @@ class Reference:
             row = self.waiting[0]
             together = row.begin == row.end and row.moment == timeline.last
             known = timeline.newest >= max(row.end, row.moment)
-            late = seen - row.queued >= MAX_WAIT
+            covered = timeline.newest >= row.end
+            since = max(row.queued, self.arrived) if covered else row.queued
+            late = seen - since >= MAX_WAIT
             if not (row.by_order or together or known or late):
                 return
             self.waiting.popleft()

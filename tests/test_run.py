@@ -210,6 +210,21 @@ def test_a_late_stamp_is_undone(bare, tmp_path, latency):
     assert play(late, tmp_path).worst > 1e-3  # it would be seen
 
 
+@pytest.mark.parametrize(("latency", "earlier"), [(0.5, 0.0), (1.0, 0.0), (3600.0, 3600.0)])
+def test_poses_of_a_lidar_whose_clock_is_ahead(bare, tmp_path, latency, earlier):
+    """Its scans arrive in time, so odometry reaches their stamps long after them, or never."""
+    ahead = [replace(m, stamp=m.stamp + latency) if isinstance(m, LaserScan) else m for m in bare]
+    kept = play(ahead, tmp_path, [f"sensors.lidar.latency={latency}"])
+    path = {round(m.stamp, 6): m.pose for m in bare if isinstance(m, TruePose)}
+    errors = [
+        np.abs(wrapped(r.pose - path[at], 2)).max()
+        for r in kept.results
+        if (at := round(r.stamp - earlier, 6)) in path
+    ]
+    assert len(errors) > 50
+    assert max(errors) < 1e-6
+
+
 def test_stamps_that_run_backwards_are_used_in_file_order(bare, tmp_path):
     """Some logs jitter: the scan is where it stands in the file, its stamp is what it is."""
     stamps = {id(m): m.stamp - 0.15 * (i % 7 == 3) for i, m in enumerate(scans(bare))}

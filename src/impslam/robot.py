@@ -24,7 +24,7 @@ from impslam.odometry.holding import Holding
 from impslam.odometry.pending import PendingQueue, PendingRows
 from impslam.odometry.stream import OdometryStream, unknown_motions
 from impslam.odometry.stream_clocks import StreamClocks
-from impslam.odometry.synchroniser import END, PendingSweeps, Synchroniser
+from impslam.odometry.synchroniser import END, MAX_DELAY, PendingSweeps, Synchroniser
 from impslam.odometry.turn_errors import TurnErrors
 from impslam.sensors.base import Sensor
 from impslam.sources.base import Problems
@@ -200,8 +200,9 @@ class Robot:
             first = int(np.argmin(usable))
             example, count = sensor.fault(columns.row(first)), int(np.sum(~usable))
             self._faults.append((int(columns.order[first]), sensor.row_name, example, count))
-        order = columns.order
-        times = PendingSweeps(order, begins, ends, placed.times, usable, by_order)
+        # The pose at a stamp of another clock is that at the beginning of the sweep.
+        stamps = np.where(placed.times - ends > MAX_DELAY, begins, placed.times)
+        times = PendingSweeps(columns.order, begins, ends, stamps, usable, by_order)
         return PendingRows(name, sensor, columns, times)
 
     def _synchronise(

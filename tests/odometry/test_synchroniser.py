@@ -146,6 +146,29 @@ def test_a_late_stamp_is_reached_by_pending_motion_without_using_it():
     np.testing.assert_allclose(again.motions.covariance, got.stamp_covariance, atol=1e-15)
 
 
+@pytest.mark.parametrize("delay", [0.5, 1.0])
+def test_a_late_stamp_is_awaited_while_odometry_arrives(delay):
+    """At 50 Hz, odometry reaches a stamp 0.5 s ahead after 25 rows, and later ones after more."""
+    synchroniser = fed(np.linspace(0.0, 1.0, 51))
+    waiting, order = sweeps([1.0], stamps=[1.0 + delay], order=[50]), 51
+    ticks = np.arange(50, 52 + round(50 * delay)) / 50
+    for before, after in pairwise(ticks):
+        got = synchroniser.feed(np.array([order]), moving([before, after]), waiting, order + 2)
+        order += 3  # two rows of other streams follow each
+        assert len(got.twists) == (after >= 1.0 + delay - 1e-9)
+        if len(got.twists):
+            break
+    np.testing.assert_allclose(got.T_middle_stamp[0], exp(delay * TWIST), atol=1e-12)
+
+
+def test_a_late_stamp_is_not_awaited_once_odometry_stops():
+    synchroniser = fed(np.linspace(0.0, 1.0, 11))
+    waiting = sweeps([0.95], stamps=[5.0], order=[8])
+    newest = 9
+    assert len(synchroniser.feed(*NOTHING, waiting, newest + MAX_WAIT - 1).twists) == 0
+    assert len(synchroniser.feed(*NOTHING, waiting, newest + MAX_WAIT).twists) == 1
+
+
 def test_an_early_stamp_is_reached_backwards():
     """A sweep of 0.2 s stamped at its first beam: its stamp is 0.1 s before its middle."""
     got = used(fed(np.linspace(0.0, 1.0, 11)), sweeps([0.4], [0.6]))

@@ -2,8 +2,9 @@
 
 Motions are kept until a sweep needs them. A sweep waits until odometry covers its end, or until
 odometry has the same stamp (both were then recorded together, and all motion belongs before the sweep),
-but for at most `MAX_WAIT` rows of the log. It gets the motion from the middle of the previous sweep to
-its own middle. A motion that spans the middle is split there, at constant twist.
+but for at most `MAX_WAIT` rows of the log. If its stamp is later than its end, it also waits for odometry
+to reach the stamp, until none has come for `MAX_WAIT` rows. It gets the motion from the middle of the
+previous sweep to its own middle. A motion that spans the middle is split there, at constant twist.
 
 Where stamps are unusable (see `clocks`), a sweep gets all odometry before it in the log, and does not wait.
 
@@ -19,6 +20,7 @@ import numpy as np
 from impslam.columns import Motions
 from impslam.geometry.kernels import kernel
 from impslam.odometry.timeline import (
+    ARRIVED,
     COVARIANCE,
     DURATION,
     LAST,
@@ -39,6 +41,9 @@ from impslam.types import Array, Increment, Ints, Mask
 
 MAX_WAIT = 25
 """Rows of the log after which a sweep waits no longer for odometry and is used with the motion so far."""
+MAX_DELAY = 10.0
+"""s from the end of a sweep to its stamp for which odometry is awaited: the longest delay that the
+diagnosis searches for. A later stamp is one of another clock."""
 MAX_MOTIONS = 20_000
 """Motions that are stored separately: 200 s of odometry at 100 Hz without a sweep. Beyond that the older
 half is merged into one, so that a lidar that is silent for hours does not fill the memory."""
@@ -177,17 +182,22 @@ def _use(state: _State, begin: float, end: float, stamp: float, by_order: bool, 
 
 
 @kernel
-def _ready(marks: Array, begin: float, end: float, stamp: float, waited: int) -> bool:
+def _ready(marks: Array, begin: float, end: float, stamp: float, order: int, last_row: int) -> bool:
     """Return whether a sweep can be used now."""
     together = begin == end and stamp == marks[LAST]
-    return together or marks[NEWEST] >= max(end, stamp) or waited >= MAX_WAIT
+    if together or marks[NEWEST] >= max(end, stamp):
+        return True
+    is_covered = marks[NEWEST] >= end  # but its stamp is not
+    since = max(float(order), marks[ARRIVED]) if is_covered else float(order)
+    return last_row - since >= MAX_WAIT
 
 
 @kernel
 def _append_motion(state: _State, odometry: _Odometry, k: int) -> None:
     """Add the motion of row k of odometry."""
     pending, ring, marks = state
-    _, stamps, d_poses, covariances, durations = odometry
+    order, stamps, d_poses, covariances, durations = odometry
+    marks[ARRIVED] = order[k]
     if np.isnan(d_poses[k, 0]):
         marks[LAST] = stamps[k]
         marks[NEWEST] = max(marks[NEWEST], stamps[k])
@@ -203,8 +213,8 @@ def _release(
     order, begins, ends, stamps, usable, by_order = sweeps
     while used < arrived:
         begin, end, stamp = begins[used], ends[used], stamps[used]
-        waited = last_row - order[used]
-        if not by_order[used] and not _ready(state[2], begin, end, stamp, waited):
+        ready = by_order[used] or _ready(state[2], begin, end, stamp, order[used], last_row)
+        if not ready:
             break
         if usable[used]:
             _use(state, begin, end, stamp, by_order[used], out[used])

@@ -23,15 +23,16 @@ from impslam.types import Array, Ints
 WIDTH = 11
 STAMP, DURATION, POSE, THETA, COVARIANCE = 0, 1, 2, 4, 5
 SQUARE = COVARIANCE + np.array([0, 1, 2, 1, 3, 4, 2, 4, 5])  # the nine entries of the covariance
-# Marks: the newest time, the newest stamp, and the newest motion that took time (duration, pose).
-NEWEST, LAST, LATEST = 0, 1, 2
-MARKS = 6
+# Marks: the newest time, the newest stamp, the newest motion that took time (duration, pose), and the
+# position in the log of the newest row.
+NEWEST, LAST, LATEST, ARRIVED = 0, 1, 2, 6
+MARKS = 7
 
 
 def begin(max_motions: int) -> tuple[Array, Ints, Array]:
     """Return an empty ring of at most `max_motions` motions, its start and length (2,), and the marks."""
     marks = np.zeros(MARKS)
-    marks[[NEWEST, LAST]] = -np.inf
+    marks[[NEWEST, LAST, ARRIVED]] = -np.inf
     return np.empty((max_motions + 1, WIDTH)), np.zeros(2, np.int64), marks
 
 
@@ -177,7 +178,7 @@ def append(
     )  # fmt: skip
     if duration > 0.0:
         marks[LATEST] = duration
-        marks[LATEST + 1 :] = d_pose
+        marks[LATEST + 1 : ARRIVED] = d_pose
     if ring[1] == len(pending):
         _fold(pending, ring)
 
@@ -200,7 +201,7 @@ def mean_twist(
         _log(ahead[POSE:COVARIANCE], out)
         out /= ahead[DURATION]
     elif marks[LATEST] > 0.0:
-        _log(marks[LATEST + 1 :], out)
+        _log(marks[LATEST + 1 : ARRIVED], out)
         out /= marks[LATEST]
     else:
         out[:] = 0.0

@@ -9,9 +9,9 @@ import numpy as np
 from impslam.noise import SystematicErrors
 from impslam.types import Array, Ints
 
-KEPT = 1000
-"""Rows of odometry that are kept beyond a batch: sweeps wait for at most 25 rows of the log, or for the
-delay of another sensor."""
+KEPT = 2000
+"""Rows of odometry that are kept beyond a batch: 10 s at 200 Hz. Sweeps wait for at most 25 rows of the
+log, for their delay, or for that of another sensor."""
 
 
 class TurnErrors:

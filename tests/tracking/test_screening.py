@@ -14,8 +14,8 @@ PERIOD, SPEED, SILENT = 0.1, 0.4, 20
 SCAN = cast(room(-3.0, 6.0, -2.0, 2.5), angles=np.linspace(-1.0, 1.0, 20)).scan
 
 
-def reasons(speeds, cut=None):
-    """Return the reasons of sweeps with odometry at these speeds (m,), m/s; NaN: without odometry."""
+def screened(speeds, cut=None):
+    """Return the parts of sweeps with odometry at these speeds (m,), m/s; NaN: without odometry."""
     stamps = PERIOD * np.arange(len(speeds))
     increments = [
         Increment(t, np.array([np.nan_to_num(v) * PERIOD, 0.0, 0.0]), np.zeros((3, 3)), s)
@@ -23,8 +23,13 @@ def reasons(speeds, cut=None):
     ]
     screening, parts = Screening(), (slice(0, cut), slice(cut, None)) if cut else (slice(None),)
     motions, sweeps = motions_of(increments), sweeps_of([SCAN] * len(stamps), stamps)
-    found = [screening.screen(motions.take(p), sweeps.take(p), Problems()) for p in parts]
-    return np.concatenate([one.reasons for one in found])
+    problems = Problems()
+    return [screening.screen(motions.take(p), sweeps.take(p), problems) for p in parts], problems
+
+
+def reasons(speeds, cut=None):
+    """Return the reasons of the sweeps."""
+    return np.concatenate([one.reasons for one in screened(speeds, cut)[0]])
 
 
 @pytest.mark.parametrize("cut", [None, 22, 35])
@@ -50,3 +55,24 @@ def test_slow_odometry_is_not_silent():
     speeds = np.full(60, np.nan)
     speeds[::10] = 10.0 * SPEED
     assert not (reasons(speeds) == SKIPPED).any()
+
+
+@pytest.mark.parametrize("cut", [None, 22, 35, 45])
+@pytest.mark.parametrize(
+    ("begin", "end", "span"),
+    [
+        (0, 30, "from 0.000 to 3.000 s"),
+        (20, 45, "from 1.900 to 4.500 s"),
+        (40, 60, "after 3.900 s"),
+    ],
+)
+def test_missing_odometry_is_reported_once_with_its_begin_and_end(begin, end, span, cut):
+    speeds = np.full(60, SPEED)
+    speeds[begin:end] = np.nan
+    parts, problems = screened(speeds, cut)
+    assert problems.counts["odometry missing"] == 1
+    assert f"no odometry for the scans {span}: " in problems.examples["odometry missing"]
+    unmeasured = np.concatenate([part.unmeasured for part in parts])
+    assert unmeasured[begin + 4 : end + 30].all()  # differences for 3 s after it are due to it
+    assert not unmeasured[:begin].any()
+    assert not unmeasured[end + 31 :].any()

@@ -17,7 +17,7 @@ from impslam.columns import Motions, Sweeps
 from impslam.component import Component, parameter
 from impslam.geometry.chain import advance, advance_pose
 from impslam.geometry.kernels import kernel
-from impslam.health import CARRIED, ELSEWHERE, OPPOSED, SLIPPED, STALLED, Reasons
+from impslam.health import CARRIED, ELSEWHERE, OPPOSED, SLIPPED, STALLED, UNMEASURED, Reasons
 from impslam.map import Keyframe, Track
 from impslam.noise import SystematicErrors
 from impslam.parameters import Parameters
@@ -188,13 +188,15 @@ class Tracker(Component):
         """
         self._systematic = systematic or [None] * len(sweeps)
         travelled = self._travelled.setdefault(sweeps.sensor, np.full(3, math.inf))
-        sweeps, wrong, amounts = self._screening.screen(motions, sweeps, self._problems)
+        sweeps, wrong, amounts, unmeasured = self._screening.screen(motions, sweeps, self._problems)
         sweeps = writable(motions, sweeps)
         steps = self.steps(motions, sweeps, Gate(self._limits, travelled))
+        contradicted = (steps.reasons >= SLIPPED) & (steps.reasons <= STALLED)
+        steps.reasons[contradicted & unmeasured] = UNMEASURED
         worse = wrong > steps.reasons
         steps.reasons[worse], steps.amounts[worse] = wrong[worse], amounts[worse]
         self._note("turns against scans", _OPPOSED, sweeps, steps.reasons == OPPOSED)
-        contradicted = (steps.reasons >= SLIPPED) & (steps.reasons <= STALLED)
+        contradicted &= (steps.reasons >= SLIPPED) & (steps.reasons <= STALLED)
         self._note("odometry against scans", _CONTRADICTED, sweeps, contradicted)
         self._note("robot carried", _CARRIED, sweeps, steps.reasons == CARRIED)
         none_due = np.zeros(len(sweeps), np.bool_)

@@ -21,11 +21,14 @@ def check_clocks(e: Evidence) -> Iterator[Finding]:
     scans, readings = e.recording.scans, e.recording.odometry
     if e.untimed or not scans or not readings:
         return
-    taken, known = (np.concatenate([c.stamps for c in one]) for one in (scans, readings))
+    # The first row of a stream with earlier stamps than the log so far is placed by order.
+    taken, known = (np.concatenate([c.stamps for c in one])[1:] for one in (scans, readings))
+    if not len(taken) or not len(known):
+        return
     off = taken - e.lidar.latency
     if off.max() >= known.min() and off.min() <= known.max():
         return
-    orders, others = (np.concatenate([c.order for c in one]) for one in (scans, readings))
+    orders, others = (np.concatenate([c.order for c in one])[1:] for one in (scans, readings))
     before = np.maximum(np.searchsorted(others, orders) - 1, 0)
     late = float(np.median(taken - known[before]))
     yield Finding(

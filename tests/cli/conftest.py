@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from impslam.cli import main
-from impslam.health import SOUND
+from impslam.health import NO_FAULT
 from impslam.simulation.simulate import simulate
 from impslam.simulation.world import load_world
 from impslam.sources.recording import McapWriter
@@ -40,7 +40,7 @@ def imp(capfd: pytest.CaptureFixture[str]) -> Imp:
 @pytest.fixture
 def undiagnosed(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave out the diagnosis of a log before `imp run`, more than half of a run of the room."""
-    monkeypatch.setattr("impslam.cli.run._initial_health", lambda *_, **__: SOUND)
+    monkeypatch.setattr("impslam.cli.run._log_fault", lambda *_, **__: NO_FAULT)
 
 
 @pytest.fixture(scope="session")

@@ -42,6 +42,7 @@ def test_an_unusable_export_path_is_rejected_before_the_run(
     done = imp("run", brief, "-o", tmp_path / "run", option, tmp_path / name)
     assert done.code == 2
     assert said in done.err
+    assert done.out == ""  # and before the log is diagnosed
     assert not (tmp_path / "run").exists()
 
 

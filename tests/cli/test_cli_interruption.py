@@ -27,9 +27,9 @@ SLOWLY = """
 import resource, time
 import impslam.cli.run
 from impslam.cli import bar
-from impslam.health import SOUND
+from impslam.health import NO_FAULT
 from impslam.observers import recorder, trajectory
-diagnosis, impslam.cli.run._initial_health = impslam.cli.run._initial_health, lambda *_, **__: SOUND
+diagnosis, impslam.cli.run._log_fault = impslam.cli.run._log_fault, lambda *_, **__: NO_FAULT
 trajectory.FLUSH_ROWS = 1
 {more}
 bar.RunBar._advance = lambda self, scans: time.sleep(0.03 * scans)
@@ -153,7 +153,7 @@ def test_a_second_signal_stops_at_once(room, tmp_path) -> None:
     assert facts == {"partial": "the run has not ended"}
 
 
-STAGES = ["impslam.open_log.open_log", "impslam.cli.run._initial_health", "bar.RunBar.__init__"]
+STAGES = ["impslam.open_log.open_log", "impslam.cli.run._log_fault", "bar.RunBar.__init__"]
 
 
 @pytest.mark.parametrize("stage", STAGES)
@@ -163,7 +163,7 @@ def test_a_signal_before_the_first_scan_leaves_nothing(room, tmp_path, stage, si
     seconds = 1.0 if signals == 1 else 60.0
     more = f"""
 import impslam.open_log
-impslam.cli.run._initial_health = diagnosis
+impslam.cli.run._log_fault = diagnosis
 stage = {stage}
 def slow(*args, **options):
     print("begun", flush=True)

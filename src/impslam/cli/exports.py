@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryFile
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 from cyclopts import Parameter
 
@@ -37,14 +37,8 @@ class Exports:
     rerun: Path | None = None
     video: Path | None = None
 
-    def observers(self, show: Callable[[str, float], None]) -> list[Observer]:
-        """Return the observers that write the files; `show` is called with the task and its progress.
-
-        Raises
-        ------
-        ConfigError
-            If a file cannot be written; it is raised before the run begins.
-        """
+    def checked(self) -> Self:
+        """Return these options; raise `ConfigError` if a file cannot be written."""
         for path, ending in self._endings():
             if path.suffix != ending:
                 raise ConfigError(f"{path}: the file name must end in {ending}")
@@ -57,7 +51,7 @@ class Exports:
                 TemporaryFile(dir=path.parent),
             ):
                 pass
-        return list(self._observers(show))
+        return self
 
     def files(self) -> list[Path]:
         """Return the files to write."""
@@ -67,7 +61,8 @@ class Exports:
         files = ((self.mcap, ".mcap"), (self.rerun, ".rrd"), (self.video, ".mp4"))
         return [(path, ending) for path, ending in files if path is not None]
 
-    def _observers(self, show: Callable[[str, float], None]) -> Iterator[Observer]:
+    def observers(self, show: Callable[[str, float], None]) -> Iterator[Observer]:
+        """Yield the observers that write the files; `show` is called with the task and its progress."""
         if self.mcap is not None:
             from impslam.observers.ros_map import RosMap
 

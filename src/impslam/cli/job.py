@@ -86,7 +86,7 @@ def execute(  # noqa: PLR0913  # all parts of a run
     with display(quiet) as progress:
         landmarks = true_landmarks or source.true_landmarks() or read_surveyed(source.path)
         bar = RunBar(source, progress)
-        files = [] if exports is None else exports.observers(bar.show)
+        files = [] if exports is None else list(exports.observers(bar.show))
         observers = [bar, Recorder(folder, landmarks), *more, *files]
         stop = interruption or Interruption()
         stop.check()

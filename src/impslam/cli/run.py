@@ -142,7 +142,7 @@ def run(  # noqa: PLR0913  # each is an option that a user may give
         changes = all_settings(settings, topics, columns, seed)
         page, end, quiet = page or LivePage(), EndOfRun(), common is not None and common.quiet
         exports, continuation = exports or Exports(), continuation or ContinuationOptions()
-        known_map = continuation.known(live=page.live, outputs=exports.files())
+        known_map = continuation.known(live=page.live, outputs=exports.checked().files())
         chosen, source = open_log(log, config, changes)
         interruption.check()
         chosen = chosen if known_map is None else _continuing_config(chosen, changes, quiet=quiet)

@@ -33,7 +33,7 @@ def scan(store: Any, stamp: float = 1.5, start: float = -1.0, n: int = 3, high: 
     return cls(header(store, stamp), start, 0.0, step, 0.25, 0.1, 0.0, high, ranges, none)
 
 
-def odometry(store: Any, turn: tuple[float, ...] = (0, 0, 0, 2), x: float = 1.0) -> Any:
+def odometry(store: Any, turn: tuple[float, ...] = (0, 0, 0, 1), x: float = 1.0) -> Any:
     new = lambda name, *values: store.types[f"geometry_msgs/msg/{name}"](*values)  # noqa: E731
     pose = new("Pose", new("Point", x, 2.0, 0.0), new("Quaternion", *turn))
     still = new("Vector3", 0.0, 0.0, 0.0)

@@ -146,6 +146,21 @@ def test_headers_without_stamp_are_as_late_as_the_others(tmp_path: Path, missing
     assert source.problems.counts == {"no stamp": 1}
 
 
+@pytest.mark.parametrize("count", [2, 6])  # read one by one, and as a table
+def test_quaternions_that_are_not_normalised_are_used_and_reported_once(
+    tmp_path: Path, count: int
+) -> None:
+    wrong, right = (
+        (0, 0, 2 * math.sin(0.5), 2 * math.cos(0.5)),
+        (0, 0, math.sin(0.5), math.cos(0.5)),
+    )
+    turns = [right, *[wrong] * count, right]
+    found, source = read(bag(tmp_path / "b", *(("/odom", odometry(ROS2, t)) for t in turns)))
+    np.testing.assert_allclose([m.pose[2] for m in found], 1.0)
+    assert source.problems.counts["quaternion not normalised"] == count
+    assert "has the norm 2 instead of 1" in source.problems.examples["quaternion not normalised"]
+
+
 def test_bad_messages_are_counted_and_dropped(tmp_path: Path) -> None:
     path = bag(
         tmp_path / "b",

@@ -116,6 +116,13 @@ def read_odometry(message: RosMessage, stamp: float) -> OdometryPose:
     return OdometryPose(stamp, _planar(pose.position, pose.orientation))
 
 
+def quaternion_norm(message: RosMessage) -> float:
+    """Return the norm of the orientation in a message that `read_odometry` reads."""
+    if "Transform" in message.__msgtype__:
+        return math.hypot(*_vector(message.transform.rotation, "xyzw"))
+    return math.hypot(*_vector(getattr(message.pose, "pose", message.pose).orientation, "xyzw"))
+
+
 def read_velocity(message: RosMessage, stamp: float) -> Velocity:
     """Read the twist of base, of a `TwistStamped`, `TwistWithCovarianceStamped` or `nav_msgs/Odometry`."""
     twist = getattr(message.twist, "twist", message.twist)

@@ -22,6 +22,7 @@ from impslam.sources.ros_tables import TABLES, Rows, Values, stamps, transforms
 from impslam.sources.ros_topics import TF_TYPES, Use
 from impslam.sources.ros_unread import NAME_WHEELS, NO_POSITIONS, joint_fault
 from impslam.sources.text import check_finite
+from impslam.sources.transforms import UNIT_TOLERANCE
 from impslam.types import Ints, Mask, Message, WheelAngles
 
 READERS: dict[Use, Callable[[RosMessage, float], Message]] = {
@@ -158,7 +159,18 @@ class RowReader:
                 f"{self._path}: {topic}: the angle from beam to beam is 0; it is computed from angle_min "
                 "and angle_max",
             )
+        if use == "odometry":
+            self._check_norm(ros.quaternion_norm(message), topic, stamp)
         return found
+
+    def _check_norm(self, norm: float, topic: str, stamp: float) -> None:
+        """Report a quaternion of odometry that is not normalised; its direction is used."""
+        if abs(norm**2 - 1.0) > UNIT_TOLERANCE:
+            self._problems.add(
+                "quaternion not normalised",
+                f"{self._path}: {topic}: the quaternion at {stamp:.3f} s has the norm {norm:.3g} instead "
+                "of 1; its direction is used: check the driver, which may write an angle instead",
+            )
 
     def _wheels(self, topic: str, message: RosMessage, stamp: float) -> WheelAngles | None:
         """Read the wheels of a `sensor_msgs/JointState`; None if only others of the topic have wheels."""

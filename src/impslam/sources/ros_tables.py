@@ -158,7 +158,8 @@ def poses(rows: Rows, joints: ros.Joints | None) -> tuple[Values, Mask]:
     del joints
     quaternions = rows.vectors("pose.pose.orientation", "xyzw")
     with np.errstate(over="ignore", invalid="ignore"):
-        good = (quaternions**2).sum(axis=1) > 1e-5  # (nearly) zero ones are reported one by one
+        norms2 = (quaternions**2).sum(axis=1)
+        good = np.abs(norms2 - 1.0) < 0.99 * UNIT_TOLERANCE  # others are reported one by one
     return _planar(rows.vectors("pose.pose.position", "xy"), quaternions, good)
 
 

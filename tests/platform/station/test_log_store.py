@@ -155,7 +155,7 @@ def test_restoring_never_overwrites(folder: Path) -> None:
     store.delete("a.mcap")
     (folder / "a.mcap").write_text("new")
     (binned,) = store.bin()
-    with pytest.raises(StoreError, match="such a log already"):
+    with pytest.raises(StoreError, match="a log of this name exists"):
         store.restore(binned.name)
     assert (folder / "a.mcap").read_text() == "new"
     assert store.bin() == [binned]

@@ -85,6 +85,9 @@ _DESCRIPTIONS = (
     "the estimate is not finite; start a new map",
 )
 _SHARES = (UNEXPLAINED, ELSEWHERE)
+MAX_GROWTH = 0.25
+"""m, growth of the position's standard deviation beyond which landmarks in a room may be confused: they are
+0.5 m or more apart."""
 
 
 class LogFault(NamedTuple):

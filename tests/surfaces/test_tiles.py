@@ -5,9 +5,15 @@ import pytest
 from tests.estimators.drives import scanned
 from tests.extractors.scans import room
 
-from impslam.estimators.shared_maps import MAX_POINTS, SharedMaps
+from impslam.estimators.shared_maps import SharedMaps
 from impslam.surfaces.features import features
-from impslam.surfaces.surface_map import add, empty_surface_map, no_evidence, normal_equations
+from impslam.surfaces.surface_map import (
+    MAX_POINTS,
+    add,
+    empty_surface_map,
+    no_evidence,
+    normal_equations,
+)
 from impslam.surfaces.tiles import evidence, sort
 
 HALL = room(-7.0, 9.0, -6.5, 8.2)

@@ -21,10 +21,10 @@ from impslam.building.groups import (
     local,
 )
 from impslam.building.sightings import PlacedSightings, add_relief
+from impslam.geometry.chi_square import GATE_2D
 from impslam.geometry.kernels import kernel
 from impslam.types import Array, Ints, Mask
 
-_GATE = 13.8  # chi-square of two degrees of freedom at 99.9 %
 _JOIN_ROUNDS = 3  # a joined group may now match a third one
 
 
@@ -33,7 +33,7 @@ def _nearest(
     groups: Array, frame: Array, cov: Array, extra: Array, rules: Rules, excluded: Mask
 ) -> int:
     """Return the nearest group of a sighting inside the gate, or -1, except the `excluded` (m,)."""
-    best, nearest, scratch = -1, _GATE, np.empty((3, 3))
+    best, nearest, scratch = -1, GATE_2D, np.empty((3, 3))
     radius = frame[3] + rules.gap + 1.0
     for g in range(len(groups)):
         dx, dy = frame[0] - groups[g, X], frame[1] - groups[g, Y]

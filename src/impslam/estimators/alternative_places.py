@@ -15,15 +15,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from impslam.geometry.chi_square import GATE_2D
 from impslam.geometry.se2 import transform
 from impslam.types import Array, Ints, Landmark, Mask, Observation
 
-MAX_GROWTH = 0.25
-"""m, standard deviation of a motion beyond which landmarks may be confused, 0.5 m apart."""
 MIN_SHIFT = 0.5
 """m between the estimate and another place; nearer ones are the same landmarks."""
-MAX_DISTANCE2 = 13.8
-"""Squared Mahalanobis distance from the predicted position, with two degrees of freedom: 99.9 %."""
 TOLERANCE = 0.2
 """m by which landmarks may miss their places elsewhere: errors of the map over a gate of association, and
 less than half of the distance between neighbours."""
@@ -104,7 +101,7 @@ class AlternativePlaces:
         if not (distance < TOLERANCE).any():
             return
         off = shifts + correction
-        near = np.einsum("ni,ni->n", off, np.linalg.solve(spread, off.T).T) < MAX_DISTANCE2
+        near = np.einsum("ni,ni->n", off, np.linalg.solve(spread, off.T).T) < GATE_2D
         elsewhere = shifts[near & (distance >= MIN_SHIFT)]
         fits = self._fits(elsewhere, pose, observations, known)
         alike = elsewhere[fits[1:] >= fits[0] - 1]

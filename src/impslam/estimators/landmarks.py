@@ -13,7 +13,7 @@ from impslam.association.base import Assignment, Association
 from impslam.building.sightings import SightingsLog
 from impslam.component import parameter, register
 from impslam.errors import NumericalError
-from impslam.estimators.alternative_places import MAX_GROWTH, AlternativePlaces
+from impslam.estimators.alternative_places import AlternativePlaces
 from impslam.estimators.base import MIN_SIGMA, Estimator, check_keyframe, is_finite
 from impslam.estimators.duplicates import Duplicates, with_kept_landmark
 from impslam.estimators.map_scale import joint_with_scale, landmark_with_scale, revision_with_scale
@@ -21,6 +21,7 @@ from impslam.estimators.observation_delay import blurred
 from impslam.estimators.refused_fixes import RefusedFixes
 from impslam.estimators.slip import RECENT, Attempt, explains, slipped
 from impslam.filters.base import Filter
+from impslam.health import MAX_GROWTH
 from impslam.landmarks.base import LandmarkModel
 from impslam.lifecycle.base import Lifecycle
 from impslam.map import Keyframe, Revision

@@ -45,6 +45,7 @@ from impslam.estimators.particle_landmarks import LandmarkTable
 from impslam.estimators.sampling import moved, normalised
 from impslam.filters.base import Filter
 from impslam.geometry.angles import wrap
+from impslam.geometry.chi_square import GATE_2D
 from impslam.geometry.roots import root
 from impslam.geometry.se2 import compose
 from impslam.landmarks.base import LandmarkModel
@@ -52,8 +53,6 @@ from impslam.lifecycle.base import Lifecycle
 from impslam.map import Keyframe, Revision
 from impslam.types import Array, Increment, Ints, Landmark, Match, Observation
 
-UNMATCHED_DISTANCE2 = 13.8
-"""Squared Mahalanobis distance assumed for unmatched observations: 99.9 % in two dimensions."""
 MIN_WEIGHT = 0.5
 """Total weight of the particles that have a landmark of the map."""
 
@@ -320,7 +319,5 @@ class Particles(Estimator):
 
 
 def _unmatched_cost(seen: Sequence[Observation]) -> Array:
-    """Return -2 log likelihood of each observation (a,) if it is unmatched."""
-    return np.array(
-        [UNMATCHED_DISTANCE2 + np.linalg.slogdet(2.0 * math.pi * o.R)[1] for o in seen], np.float64
-    )
+    """Return -2 log likelihood of each observation (a,) if it is unmatched: at the gate from a landmark."""
+    return np.array([GATE_2D + np.linalg.slogdet(2.0 * math.pi * o.R)[1] for o in seen], np.float64)

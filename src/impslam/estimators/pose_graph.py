@@ -30,7 +30,7 @@ KERNEL = 25.0
 """Squared Mahalanobis distance beyond which the weight of a closure decreases: 5 sigma."""
 CLOSURE_LENGTH = 0.5
 """m, path length of a closure: its error is that of so much driving."""
-MIN_SHIFT = 0.1, 0.01
+MIN_CORRECTION = 0.1, 0.01
 """m, rad: closures with smaller corrections do not trigger a solution."""
 
 
@@ -114,7 +114,9 @@ class PoseGraph:
         self.closures += 1
         self._add(*self._between_hosts(i, j, T_i_j, information), KERNEL, length)
         d = between(between(self.poses[i], self.poses[j]), T_i_j)
-        return joins or bool(math.hypot(d[0], d[1]) > MIN_SHIFT[0] or abs(d[2]) > MIN_SHIFT[1])
+        return joins or bool(
+            math.hypot(d[0], d[1]) > MIN_CORRECTION[0] or abs(d[2]) > MIN_CORRECTION[1]
+        )
 
     def _join(self, i: int, j: int, T_i_j: Array) -> bool:
         """Move the later session of two to satisfy an edge; return whether there are two."""

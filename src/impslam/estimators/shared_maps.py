@@ -9,10 +9,10 @@ from __future__ import annotations
 import numpy as np
 
 from impslam.surfaces.features import Features
+from impslam.surfaces.surface_map import MAX_POINTS
 from impslam.surfaces.tiles import Tiles, add_to_tiles, begin, copy, empty_tiles, touched_tiles
 from impslam.types import Array, Ints
 
-MAX_POINTS = 20.0  # over which a surfel averages
 _POOL = 64  # tiles; the pool grows by doubling
 _SPARE = 4  # rows and columns of tiles that a table grows by
 

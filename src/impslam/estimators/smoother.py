@@ -29,13 +29,12 @@ from impslam.errors import ConfigError, NumericalError, in_a_line
 from impslam.extras import install
 from impslam.geometry.angles import wrap
 from impslam.geometry.se2 import between, compose
-from impslam.landmarks.base import LandmarkModel
+from impslam.landmarks.base import STEP, LandmarkModel
 from impslam.types import Array, Observation
 
 Error: TypeAlias = Callable[[Any, Any, Any], Array]
 """Error of a factor: takes factor, values, and None or a list for Jacobians; returns the residual."""
 
-_STEP = 1e-5  # m, rad, of central differences; gives a relative error of some 1e-10
 _MIN_SIGMA = 1e-6  # m, rad, of a motion, so that its covariance is invertible
 _CONVERGED = 1e-6  # m, rad, last step of Gauss-Newton
 _MAX_ITERATIONS = 20  # of Gauss-Newton
@@ -70,7 +69,7 @@ class Mark:
 
     def jacobian(self, delta: Array) -> Array:
         """Return the derivative (dim, dim) of the state, in its own perturbation, by delta."""
-        steps = _STEP * np.eye(len(delta))
+        steps = STEP * np.eye(len(delta))
         if type(self.model).retract is LandmarkModel.retract:
             return np.eye(len(delta))
         here = np.broadcast_to(self.state(delta), (2 * len(delta), len(delta)))
@@ -78,7 +77,7 @@ class Mark:
             np.broadcast_to(self.anchor, here.shape), delta + np.concatenate([steps, -steps])
         )
         ahead, back = np.split(self.model.difference(here, there), 2)
-        return np.asarray((ahead - back).T / (2.0 * _STEP))
+        return np.asarray((ahead - back).T / (2.0 * STEP))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -250,7 +249,7 @@ def _observation_error(mark: Mark, z: Array, s: Array) -> Error:
 
 def _first_observation_error(mark: Mark, observation: Observation, s: Array) -> Error:
     """Return the error function of a first observation; its Jacobians are central differences."""
-    steps = _STEP * np.concatenate([np.eye(3), -np.eye(3)])
+    steps = STEP * np.concatenate([np.eye(3), -np.eye(3)])
 
     def difference(pose: Array, m: Array) -> Array:
         initial = mark.model.initialise(pose, observation).m
@@ -262,13 +261,13 @@ def _first_observation_error(mark: Mark, observation: Observation, s: Array) -> 
         m = mark.state(delta)
         if jacobians is not None:
             moved = np.array([difference(compose(pose, step), m) for step in steps])
-            jacobians[0] = np.asfortranarray((moved[:3] - moved[3:]).T / (2.0 * _STEP))
-            h = _STEP * np.eye(len(delta))
+            jacobians[0] = np.asfortranarray((moved[:3] - moved[3:]).T / (2.0 * STEP))
+            h = STEP * np.eye(len(delta))
             moved = np.array(
                 [difference(pose, mark.state(delta + sign * d)) for sign in (1, -1) for d in h]
             )
             ahead, back = np.split(moved, 2)
-            jacobians[1] = np.asfortranarray((ahead - back).T / (2.0 * _STEP))
+            jacobians[1] = np.asfortranarray((ahead - back).T / (2.0 * STEP))
         return _with_shared(difference(pose, m), s, keys, values, jacobians)
 
     return error

@@ -25,6 +25,7 @@ from impslam.graph.bearings import Fans, nearest_feature, sort_by_bearing
 from impslam.graph.bundle import RefinementSettings, refine
 from impslam.graph.overlaps import HIDDEN_PER_RADIAN
 from impslam.recognition.free_ranges import Floats
+from impslam.recognition.places import MIN_SIGMA
 from impslam.recognition.verify import evidence_at
 from impslam.types import Array, Edges, Ints, Mask
 
@@ -40,8 +41,6 @@ MAX_GONE = 0.05  # share of the points seen before that are in free space now: s
 PRIOR_SIGMA = np.array([0.01, 0.01, 0.002]) * 0.5 * MAX_PATH
 """m, m, rad, of the relative pose from the graph: the drift (see `LoopSearch`, without its margin) from the
 nearer of two closures. It constrains the alignment along bare corridors."""
-MIN_SIGMA = np.array([0.01, 0.01, 0.002])
-"""m, m, rad, of an alignment, as of a closure, for any number of points."""
 
 
 class Thinner:

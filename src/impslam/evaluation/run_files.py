@@ -11,13 +11,11 @@ import numpy as np
 from impslam.errors import ImpError
 from impslam.evaluation.landmark_files import TRUE_LANDMARKS, read_true_landmarks
 from impslam.evaluation.tum import HEALTH_COLUMN, PATH_COLUMNS, TRUTH, read_numbers, read_tum
-from impslam.map import Map
+from impslam.map import SYMMETRIC, Map
 from impslam.maps.landmark_table import read_landmarks
 from impslam.types import Array, Landmark, TrueLandmark
 
 log = logging.getLogger(__name__)
-
-SYMMETRIC = (0, 1, 2, 1, 3, 4, 2, 4, 5)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

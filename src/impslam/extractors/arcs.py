@@ -6,13 +6,13 @@ import math
 
 import numpy as np
 
+from impslam.extractors.line_segments import OUTLIER
 from impslam.geometry.circle_start import circle_start
 from impslam.geometry.circles import covariance_at, fit_circle_core
 from impslam.geometry.kernels import kernel
 from impslam.geometry.lines import fit_line_core
 from impslam.types import Array, Ints, Mask
 
-_OUTLIER = 3.5  # standard deviations
 _MAX_UNSEEN = 0.3  # share of the half-width that may be missing at a side
 _MAX_FITS = 3  # the last two drop end points that are partly on the background
 _LINE_GAIN = 16.0  # chi-square by which a circle of any radius must beat a line: 4 sigma
@@ -218,9 +218,9 @@ def _trimmed(
 ) -> tuple[int, int]:
     """Return [i, j) without the outermost points if they are outliers."""
     a, b, last = i, j, j - 1
-    if _squared_error(points[i], beams[i], variances[i], circle) > _OUTLIER**2:
+    if _squared_error(points[i], beams[i], variances[i], circle) > OUTLIER**2:
         a += 1
-    if _squared_error(points[last], beams[last], variances[last], circle) > _OUTLIER**2:
+    if _squared_error(points[last], beams[last], variances[last], circle) > OUTLIER**2:
         b -= 1
     return a, b
 

@@ -9,14 +9,13 @@ import numpy as np
 
 from impslam.component import parameter, register
 from impslam.extractors.line_segments import Segments
-from impslam.extractors.segmentation import beam_spacing
+from impslam.extractors.segmentation import NOISE_SIGMAS, beam_spacing
 from impslam.extractors.split_merge import StraightPieces, covariances
 from impslam.geometry.algebra import eigenvalues
 from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.kernels import kernel
 from impslam.types import Array, Ints, Observation, Scan
 
-_NOISE = 3.0  # standard deviations
 # Columns of a corner: both pieces; x, y; covariance xx, xy, yy; error by the bias of the ranges (2);
 # angle, heading.
 _COLUMNS = 11
@@ -98,7 +97,7 @@ def _find(
         det = c1 * s2 - s1 * c2
         row[2] = (s2 * lines[a, 0] - s1 * lines[b, 0]) / det
         row[3] = (c1 * lines[b, 0] - c2 * lines[a, 0]) / det
-        noise = _NOISE * sigmas[segments.indices[np.argmax(segments.label == b)]]
+        noise = NOISE_SIGMAS * sigmas[segments.indices[np.argmax(segments.label == b)]]
         if not (
             _meets(row[2:4], segments.end_points[a, 1], (c1, s1), laser, noise, limits)
             and _meets(row[2:4], segments.end_points[b, 0], (c2, s2), laser, noise, limits)

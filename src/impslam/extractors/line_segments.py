@@ -9,12 +9,12 @@ import numpy as np
 
 from impslam.extractors.line_splitting import MIN_PIECE, split, variance_across
 from impslam.extractors.segmentation import SegmentedScan
+from impslam.geometry.chi_square import GATE_2D
 from impslam.geometry.kernels import kernel
 from impslam.geometry.lines import fit_line_core
 from impslam.types import Array, Ints
 
-_OUTLIER = 3.5  # standard deviations: exceeded by 1 of 2000 Gaussian residuals
-_COLLINEAR = 13.8  # chi-square of two degrees of freedom at 99.9 %
+OUTLIER = 3.5  # standard deviations: exceeded by 1 of 2000 Gaussian residuals
 _PASS_THROUGH = 0.05  # m: a beam this far beyond a wall, plus noise, passed through an opening
 _TRIM_FROM = (
     20  # points; from this number on, the outermost, perhaps mixed with the background, are dropped
@@ -105,7 +105,7 @@ def _unlabel(
     removed, nx, ny = False, math.cos(line[1]), math.sin(line[1])
     for k in which:
         distance = line[0] - nx * points[k, 0] - ny * points[k, 1]
-        if distance * distance > _OUTLIER**2 * variance_across(beams, variances, flat2, k, -ny, nx):
+        if distance * distance > OUTLIER**2 * variance_across(beams, variances, flat2, k, -ny, nx):
             label[k] = -1
             removed = True
     return removed
@@ -141,7 +141,7 @@ def _collinear(points: Array, one: Array, two: Array, ends: Ints, flat2: float) 
     shift = sign * b[0] - a[0]
     rr, ra, aa = a[1] + b[1], a[2] + sign * b[2], a[3] + b[3]
     d2 = (aa * shift * shift - 2.0 * ra * shift * turn + rr * turn * turn) / (rr * aa - ra * ra)
-    return bool(d2 < _COLLINEAR)
+    return bool(d2 < GATE_2D)
 
 
 @kernel
@@ -154,7 +154,7 @@ def _open_between(
         beyond = nx * points[k, 0] + ny * points[k, 1] - line[0]
         if nx * beams[k, 0] + ny * beams[k, 1] < 0.0:
             beyond = -beyond
-        if beyond > _PASS_THROUGH + _OUTLIER * math.sqrt(variances[k]):
+        if beyond > _PASS_THROUGH + OUTLIER * math.sqrt(variances[k]):
             return True
     return False
 

@@ -19,7 +19,7 @@ WALL_INCIDENCE = math.radians(10.0)  # below 10 deg of incidence, range noise do
 OBJECT_INCIDENCE = math.radians(25.0)  # a steeper step between points is the edge of an object
 _MAX_HOLE = math.radians(5.0)  # a wider run of lost beams may hide anything
 _HOLE_SLOPE = 2.0  # across lost beams the incidence is assumed to be at least 30 deg
-_NOISE = 3.0  # standard deviations
+NOISE_SIGMAS = 3.0  # standard deviations
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,7 +62,7 @@ def _gap_ratios(
             continue
         lost = max(0.0, turn - spacing)
         expected = min(ranges[i], ranges[j]) * (spacing / math.sin(grazing) + _HOLE_SLOPE * lost)
-        noise = _NOISE * math.sqrt(variances[i] + variances[j])
+        noise = NOISE_SIGMAS * math.sqrt(variances[i] + variances[j])
         distance = math.hypot(points[j, 0] - points[i, 0], points[j, 1] - points[i, 1])
         out[i] = distance / (expected + noise)
     return out

@@ -24,7 +24,7 @@ from impslam.types import Array, Observation
 COURSE, COURSE_SIGMA = "course", "course sigma"
 """Attributes of a GPS fix: direction of travel in its frame and its standard deviation, rad."""
 
-_STEP = 1e-5  # m, rad: of central differences; their error is then some 1e-10 of the values
+STEP = 1e-5  # m, rad: of central differences; their error is then some 1e-10 of the values
 
 
 class Prediction(NamedTuple):
@@ -112,14 +112,14 @@ class LandmarkModel(Component):
     def predict(self, pose: Array, m: Array) -> Prediction:
         """Return `observe` with its Jacobians; by default central differences, all in one call."""
         n = 3 + self.dim
-        steps = np.concatenate([np.zeros((1, n)), _STEP * np.eye(n), -_STEP * np.eye(n)])
+        steps = np.concatenate([np.zeros((1, n)), STEP * np.eye(n), -STEP * np.eye(n)])
         lead = np.broadcast_shapes(pose.shape[:-1], m.shape[:-2])
         ones = (1,) * len(lead)
         poses = np.broadcast_to(pose, (*lead, 3)) + steps[:, :3].reshape(-1, *ones, 3)
         moved = np.broadcast_to(m, (len(steps), *lead, *m.shape[-2:]))
         deltas = np.broadcast_to(steps[:, 3:].reshape(-1, *ones, 1, self.dim), moved.shape)
         z = self.observe(poses, self.retract(moved, deltas))
-        slopes = self.residual(z[1 : n + 1], z[n + 1 :]) / (2.0 * _STEP)
+        slopes = self.residual(z[1 : n + 1], z[n + 1 :]) / (2.0 * STEP)
         D = np.moveaxis(slopes, 0, -1)
         return Prediction(z[0], D[..., :3], D[..., 3:])
 

@@ -16,6 +16,7 @@ from impslam.health import (
     CONTRADICTED,
     ELSEWHERE,
     GROWN,
+    MAX_GROWTH,
     NO_FAULT,
     NONE,
     NOT_FINITE,
@@ -29,10 +30,6 @@ from impslam.map import Keyframe, PathRows, Revision, Track
 from impslam.observers.base import Observer
 from impslam.observers.landmark_watch import LandmarkWatch, is_located
 from impslam.types import Array, Mask
-
-MAX_GROWTH = 0.25
-"""Growth of the position's standard deviation, m, beyond which landmarks in a room may be confused:
-they are 0.5 m or more apart."""
 
 
 class HealthMonitor(Observer):

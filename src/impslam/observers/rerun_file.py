@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from impslam.errors import ConfigError, ImpError, in_a_line
-from impslam.evaluation.colours import INK, PATH, POINT, TRUTH, WALL
+from impslam.evaluation.colours import INK, PATH, POINT, SCAN, TRUTH, WALL
 from impslam.extras import install
 from impslam.geometry.se2 import transform
 from impslam.health import Health, describe, state_of
@@ -23,7 +23,6 @@ from impslam.observers.map_picture import drawn_path, ellipse, pieces
 from impslam.observers.recorder import TruthRecorder
 from impslam.types import Array, Landmark
 
-SCAN = "#e8590c"
 LEVELS = ("INFO", "WARN", "ERROR")
 """Log levels of the states TRACKING, DEGRADED and LOST."""
 RADIUS = 0.03

@@ -11,7 +11,7 @@ import numpy as np
 from impslam import ffmpeg
 from impslam.errors import ImpError
 from impslam.evaluation import colours
-from impslam.evaluation.colours import INK, PATH, POINT, WALL
+from impslam.evaluation.colours import INK, PATH, POINT, SCAN, WALL
 from impslam.geometry.se2 import transform
 from impslam.health import STATES
 from impslam.map import Map
@@ -36,7 +36,6 @@ SIZE = 800
 """Length of the map's longer side, pixels. Encoding a frame takes 60 ms, or 240 ms at twice the size."""
 CODECS = ("vp09", "mp4v")
 """VP9 plays in browsers and all players; MPEG-4 is for an OpenCV built without VP9."""
-SCAN = "#e8590c"
 STATE_COLOURS = ("#15803d", "#c77700", "#d0202f")
 ROBOT = np.array([[13.0, 0.0], [-8.0, 7.0], [-4.0, 0.0], [-8.0, -7.0]])
 """Outline of an arrow along x, pixels."""

@@ -32,6 +32,7 @@ from impslam.recognition.verify import (
 from impslam.surfaces.features import Features
 from impslam.surfaces.surface_map import (
     CELL,
+    MAX_POINTS,
     Alignment,
     FitSums,
     SurfaceMap,
@@ -56,7 +57,6 @@ SAME_SIDEWAYS, SAME_HEADING = 0.1, math.radians(1.0)
 """m, rad: poses along one corridor differ less across it and in heading. So may twin rooms; then it remains
 open which of them it is."""
 LIKELY_SHARE = 0.75  # of a window of four sigma: a pose farther off is beyond three of them
-MAX_POINTS = 20.0  # over which a surfel averages
 SLACK = 0.4  # m that an alignment may leave its window: its pairing distance
 MIN_RESIDUAL = 0.015  # m, of a point: range noise, and cells of 5 cm
 CORRELATED_POINTS = 40.0
@@ -69,7 +69,7 @@ yet: weight closures robustly.
 OUTCOMES = (
     "attempts", "too few points", "no peak", "ambiguous", "unlikely", "contradicted", "found"
 )  # fmt: skip
-_MIN_SIGMA = np.array([0.01, 0.01, 0.002])  # m, m, rad, for any number of points
+MIN_SIGMA = np.array([0.01, 0.01, 0.002])  # m, m, rad, of an alignment of any number of points
 _COARSE = Alignment(15, 0.4, 0.08, 1.0 / 0.05**2, 1, 9.0)
 FINE = Alignment(15, 0.3, 0.08, 1.0 / 0.05**2, 1, 9.0)
 _COARSE_PRIOR, FINE_PRIOR = np.array([4.0, 4.0, 100.0]), np.ones(3)  # 1/m^2, 1/m^2, 1/rad^2
@@ -314,6 +314,6 @@ def information(evidence: FitSums) -> Array:
     """
     squares, weights = evidence.sums[2:]
     sigma2 = CORRELATED_POINTS * max(squares / max(weights, 1.0), MIN_RESIDUAL**2)
-    G = np.diag(1.0 / _MIN_SIGMA**2)
+    G = np.diag(1.0 / MIN_SIGMA**2)
     result = G - G @ np.linalg.inv(evidence.H / sigma2 + G) @ G
     return np.asarray(0.5 * (result + result.T))

@@ -27,7 +27,7 @@ from impslam.recognition.pyramid import (
     pool,
 )
 from impslam.recognition.submap import View
-from impslam.surfaces.surface_map import SurfaceMap, add, empty_surface_map
+from impslam.surfaces.surface_map import MAX_POINTS, SurfaceMap, add, empty_surface_map
 from impslam.types import Array, Mask
 
 Floats: TypeAlias = np.ndarray[Any, np.dtype[np.float32]]
@@ -56,7 +56,6 @@ DRIVEN_RADIUS = 1.5
 """m around a keyframe where the lidar may be in unknown space: one that looks ahead does not see the floor
 beside and behind it. In a hospital, mapped by such a lidar, a sixth of such places is unknown."""
 MARGIN = 2  # unknown cells around a grid
-MAX_POINTS = 20.0  # over which a surfel averages
 
 
 class SearchMap(NamedTuple):

@@ -11,6 +11,7 @@ import numpy as np
 from impslam.errors import ConfigError
 from impslam.overhead.camera import SIZE, CalibratedCamera
 from impslam.overhead.setup import Marker, dictionary
+from impslam.simulation.camera import WALLS
 from impslam.simulation.drive import Path
 from impslam.simulation.overhead_paint import (
     Box,
@@ -29,7 +30,6 @@ from impslam.simulation.scene import Scene
 from impslam.types import Array
 
 ORANGE, BODY, WOOD, CLOTH = (232, 110, 40), (60, 64, 70), (170, 150, 120), (60, 70, 110)
-WALLS = ((196, 176, 150), (150, 178, 190), (178, 190, 154), (192, 158, 158), (168, 160, 190))
 WALL_HEIGHT, CYLINDER_HEIGHT, PERSON_HEIGHT = 0.6, 0.4, 1.75  # m
 SHOULDERS = 0.22  # m, radius of a person from above
 TILE = 0.5  # m, of the floor

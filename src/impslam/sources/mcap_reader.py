@@ -13,7 +13,7 @@ from impslam.sources.unpack import UNIT_LIMIT, check_size, check_together, unpac
 
 _ENCODINGS = {"ros2msg", "ros2idl", "omgidl", ""}
 """Languages of the definitions of ROS 2 messages."""
-_MAGIC = b"\x89MCAP0\r\n"
+MAGIC = b"\x89MCAP0\r\n"
 _PROFILE = 17
 """Offset of the profile: behind the magic, an opcode and the length of its record."""
 
@@ -89,8 +89,8 @@ class CutMcapReader(McapReader):
         except ReaderError as error:
             if "end magic" not in str(error):
                 self._accept_no_profile(error)
-            self.bio.seek(-len(_MAGIC), 2)
-            self.is_cut = self.bio.read() != _MAGIC
+            self.bio.seek(-len(MAGIC), 2)
+            self.is_cut = self.bio.read() != MAGIC
             self._scan()
         spans = [
             (chunk.message_start_time, chunk.message_end_time, chunk.uncompressed_size)

@@ -14,7 +14,7 @@ from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
 from impslam.errors import SourceError
-from impslam.sources.mcap_reader import CutMcapReader, ForeignError
+from impslam.sources.mcap_reader import MAGIC, CutMcapReader, ForeignError
 from impslam.sources.ros1_files import BoundedReader1, SplitReader1
 from impslam.sources.ros_files import BagFolder, PlainSqlite3Reader, UnlistedFolder
 from impslam.sources.unpack import LimitError
@@ -24,7 +24,7 @@ RosMessage: TypeAlias = Any  # rosbags creates the classes at run time
 
 _MAGIC: dict[bytes, Callable[[Path], Storage]] = {
     b"#ROSBAG V": BoundedReader1,
-    b"\x89MCAP0\r\n": CutMcapReader,
+    MAGIC: CutMcapReader,
     b"SQLite format 3\0": PlainSqlite3Reader,
 }
 _EARLY = re.compile(

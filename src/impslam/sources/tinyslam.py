@@ -7,7 +7,6 @@ words. See Steux and El Hamzaoui 2010, "CoreSLAM: a SLAM algorithm in less than 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,16 +18,15 @@ from impslam.columns import Columns
 from impslam.component import register
 from impslam.errors import MessageError
 from impslam.sources.base import Stream
+from impslam.sources.lego import BEAM_TIME, RANGE_MIN, STEP
 from impslam.sources.parts import LocatedMessage, Piece, single
 from impslam.sources.tables import Lines
 from impslam.sources.text import TextSource, beam_angles, beam_times, check_finite, head, numbers
 from impslam.types import Array, LaserScan, WheelAngles
 
 BEAMS = 682  # steps 44 to 725
-STEP = 2.0 * math.pi / 1024.0  # rad
 START = (44 - 384) * STEP  # rad; step 384 points forward
-BEAM_TIME = 60.0 / 600.0 / 1024.0  # s; 600 rpm
-RANGE_MIN, RANGE_MAX = 0.02, 5.6  # m; smaller values are error codes
+RANGE_MAX = 5.6  # m
 _TURN = 1 << 32  # us; the clock wraps
 
 

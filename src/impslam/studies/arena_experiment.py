@@ -18,8 +18,6 @@ from impslam.sweeps.rows import Row
 from impslam.sweeps.statistics import Quantiles
 from impslam.types import TrueLandmark
 
-GATE = 0.5
-"""m: maximum distance of an estimate from its landmark."""
 END = "end position"
 THESIS, PRINTED_GATE, DEFAULT = "thesis", "2 m gate", "default"
 """Names of the variants in tables and figures."""
@@ -79,7 +77,7 @@ def landmark_metrics(run: StudyRun) -> Row:
     to walls at their middles; `foot NAME` is between the feet of walls' normals, as in the thesis. Both are
     infinite for a missing landmark.
     """
-    score = score_landmarks(run.landmarks, true_landmarks(), GATE)
+    score = score_landmarks(run.landmarks, true_landmarks())
     found = {error.name: error for error in score.found}
     row: Row = {"missing": score.missing, "false": score.false, "doubles": score.doubles}
     for name in NAMED:

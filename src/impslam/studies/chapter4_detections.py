@@ -21,12 +21,11 @@ from impslam.extractors.readings import usable
 from impslam.geometry.se2 import transform
 from impslam.simulation.scene import distance_to_segments
 from impslam.studies.chapter4_scans import SceneSnapshot
+from impslam.studies.corridor_truth import MAX_WALL_TURN
 from impslam.types import Array, Ints, Observation, Scan
 
 MAX_DISTANCE = 0.15
 """m: a detection further from all true things is spurious: the radius of a cylinder."""
-MAX_TURN = math.radians(10.0)
-"""rad: the same for the direction of walls: the bin of the thesis's Hough transform (5.2.2)."""
 LONG = 1.0
 """m: a longer spurious wall joins several things: boxes and cylinders are shorter."""
 
@@ -137,7 +136,7 @@ def true_thing(snapshot: SceneSnapshot, finding: Observation) -> int:
 
     For a cylinder it is the nearest one of `scene.circles` within `MAX_DISTANCE` of its centre. For a wall
     it is the nearest one of `Snapshot.surfaces` within `MAX_DISTANCE` of the middle of its readings,
-    projected to its line, and within `MAX_TURN` of its direction.
+    projected to its line, and within `MAX_WALL_TURN` of its direction.
     """
     if finding.end_points is None:
         centre = transform(snapshot.pose, finding.z[None])[0]
@@ -152,7 +151,7 @@ def true_thing(snapshot: SceneSnapshot, finding: Observation) -> int:
     along = snapshot.surfaces[:, 2:] - snapshot.surfaces[:, :2]
     turn = np.arctan2(along[:, 1], along[:, 0]) - heading
     distances = distance_to_segments(middle, snapshot.surfaces)
-    return _nearest(np.where(np.abs(np.sin(turn)) <= math.sin(MAX_TURN), distances, np.inf))
+    return _nearest(np.where(np.abs(np.sin(turn)) <= math.sin(MAX_WALL_TURN), distances, np.inf))
 
 
 def _nearest(distances: Array) -> int:

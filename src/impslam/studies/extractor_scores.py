@@ -19,13 +19,12 @@ from impslam.geometry.angles import wrap
 from impslam.geometry.circles import fit_circle
 from impslam.geometry.lines import fit_line
 from impslam.studies.bounds import bound, circle_jacobian, wall_jacobian
+from impslam.studies.corridor_truth import MAX_WALL_TURN
 from impslam.studies.labelled_scans import LabelledScan, Seen
 from impslam.types import Array, Ints, Observation, Scan
 
 MAX_DISTANCE = 0.1
 """m from an observation to the thing (for a wall, at the middle of its visible part)."""
-MAX_TURN = math.radians(10.0)
-"""rad of a wall: a bin of the thesis's Hough transform."""
 RADIUS_TOLERANCE = 0.01
 """Relative difference up to which an assumed radius is correct."""
 
@@ -125,7 +124,7 @@ def _observed_thing(labelled: LabelledScan, o: Observation) -> int | None:
 def _is_of(o: Observation, seen: Seen) -> bool:
     if len(o.beams) and 2 * np.count_nonzero(np.isin(o.beams, seen.beams)) <= len(o.beams):
         return False
-    turned = o.kind == "wall" and abs(wrap(float(o.z[1] - seen.z[1]))) > MAX_TURN
+    turned = o.kind == "wall" and abs(wrap(float(o.z[1] - seen.z[1]))) > MAX_WALL_TURN
     return _distance(o, seen) <= MAX_DISTANCE and not turned
 
 

@@ -16,8 +16,8 @@ from impslam.component import components
 from impslam.config import load
 from impslam.estimators.base import Estimator
 from impslam.evaluation.consistency import nees, pose_errors
+from impslam.evaluation.options import GATE
 from impslam.map import Keyframe
-from impslam.studies.arena_experiment import GATE
 from impslam.studies.batch_optimum import optima
 from impslam.studies.circle_simulation import HUANG, LONG_LOOP, Setting, Trial, simulate
 from impslam.studies.consistency_arena import SETTLED

@@ -23,6 +23,7 @@ from impslam.types import Array, Ints
 CELL = 0.05  # m: surfels of one wall are in neighbouring cells
 RADIUS = 8  # cells: a point finds a surfel up to 0.4 m away
 MIN_NORMAL_COSINE = 0.6  # 53 degrees: normals farther apart belong to two surfaces
+MAX_POINTS = 20.0  # over which a surfel averages
 LONE_WEIGHT, MIXED_WEIGHT = 0.2, 0.1
 """Weights of a point if neither it nor its surfel is on a surface, or only one of them."""
 _X, _Y, _NX, _NY, _COUNT, _WEIGHT, _X0, _Y0 = range(8)

@@ -25,11 +25,9 @@ from impslam.columns import Scans
 from impslam.geometry.chain import advance_pose
 from impslam.geometry.kernels import kernel
 from impslam.tracking.beams import BeamColumns, Geometry, beam_columns
-from impslam.tracking.reference_scan import MIN_CHANGE, changed_beam
+from impslam.tracking.reference_scan import MIN_CHANGE, MIN_MOTION, changed_beam
 from impslam.types import Array, Ints, Mask
 
-MIN_MOTION = (0.2, 0.15)
-"""m, rad: motion by odometry before a scan is compared with the reference scan."""
 RANGE_TOLERANCE = (0.04, 0.005)
 """m, and share of the range: a smaller difference is none. 3 sigma of the noise of both ranges."""
 MAX_RANGE = 1.0

@@ -28,7 +28,7 @@ from impslam.surfaces.features import Features, leave_out_oblique
 from impslam.surfaces.normal_errors import spurious_information
 from impslam.surfaces.surface_map import Alignment, align, no_evidence
 from impslam.tracking.beams import BeamColumns, find_beam_features
-from impslam.tracking.match_faults import INITIAL_SHARE, turns_oppose
+from impslam.tracking.match_faults import INITIAL_SHARE, STATIONARY_SHARE, turns_oppose
 from impslam.tracking.match_information import add_drift, discount_spurious
 from impslam.tracking.offsets import (
     Offsets,
@@ -61,8 +61,6 @@ that reports too much, or another direction, is left to its own covariance: scan
 long corridor can show any motion, but seldom one that did not happen."""
 MIN_MISSING = (0.05, 0.1)
 """m, rad: motion that must be missing at least; errors of matching are smaller (three `MATCH_SIGMA`)."""
-STATIONARY_SHARE = 0.3
-"""Share of the matched distance; with less in odometry, the wheels are stationary."""
 MAX_TURN_DIFFERENCE = 0.3
 """rad within 3 s between the turns by odometry and by scans: one frozen wheel on a straight drive at 4
 cm/s, with a track of 0.4 m, causes this much. Scans show turns even along a bare corridor."""

@@ -12,6 +12,9 @@ from impslam.geometry.kernels import kernel
 from impslam.tracking.beams import Geometry
 from impslam.types import Array
 
+MIN_MOTION = (0.2, 0.15)
+"""m, rad: motion by odometry before a scan is compared with the reference scan; ranges change by more than
+noise."""
 MIN_CHANGE = 0.1
 """m: predicted change of a range that is large enough to be tested: ten times a lidar's noise."""
 

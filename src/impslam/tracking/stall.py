@@ -25,11 +25,9 @@ from impslam.geometry.chain import advance_pose
 from impslam.geometry.kernels import kernel
 from impslam.health import STALLED, Reasons
 from impslam.tracking.beams import BeamColumns, Geometry
-from impslam.tracking.reference_scan import changed_beam
+from impslam.tracking.reference_scan import MIN_MOTION, changed_beam
 from impslam.types import Array, Mask
 
-MIN_MOTION = (0.2, 0.15)
-"""m, rad: motion by odometry before scans are compared; ranges change by more than noise."""
 RANGE_TOLERANCE = (0.03, 0.005)
 """m, and share of the range: a smaller change counts as none; 3 sigma of the noise."""
 MIN_BEAMS = 10

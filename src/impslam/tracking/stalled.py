@@ -13,7 +13,8 @@ from impslam.tracking.base import Steps
 from impslam.tracking.beams import BeamColumns
 from impslam.tracking.learned_odometry import variances
 from impslam.tracking.matching_state import State
-from impslam.tracking.stall import IS_STALLED, MIN_MOTION, POSE_IS_DUE, STALL_SIGMA, notice_stall
+from impslam.tracking.reference_scan import MIN_MOTION
+from impslam.tracking.stall import IS_STALLED, POSE_IS_DUE, STALL_SIGMA, notice_stall
 
 
 @kernel

@@ -15,6 +15,7 @@ from impslam.platform.devices.rplidar_parser import Parser
 from impslam.platform.devices.rplidar_protocol import (
     CAPSULE,
     NODE,
+    UART_BITS,
     Answer,
     Command,
     Condition,
@@ -31,7 +32,6 @@ ANSWER_TIMEOUT = 1.0  # s; an answer takes some ms, more while a scan is ending
 SETTLING_TIME = 0.05  # s after STOP in which a stream still arrives (the manual specifies 1 ms)
 BOOT_TIME = 2.0  # s until it answers again after a reset
 SPIN_UP_TIME = 4.0  # s until the motor is fast enough for the first measurement
-UART_BITS = 10  # bits on the line per byte: start, 8, stop
 
 
 class RplidarModel(NamedTuple):

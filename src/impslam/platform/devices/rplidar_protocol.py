@@ -32,6 +32,7 @@ from impslam.types import Array, Mask
 
 Bytes: TypeAlias = npt.NDArray[np.uint8]
 
+UART_BITS = 10  # bits on the line per byte: start, 8, stop
 NODE = 5  # bytes
 CAPSULE = 84  # bytes
 SAMPLES = 32  # in a capsule

@@ -27,6 +27,7 @@ STAMP_BITS = 24  # of the sensor's clock, in ms: it wraps every 4 h 39 min 37 s
 WIDTH: dict[str, int] = {"MD": 3, "GD": 3, "MS": 2, "GS": 2}  # characters a distance
 STREAMS = ("MD", "MS")  # sent sweep by sweep until QT; the others answer once
 TEXT_LIMIT = 16  # characters of the user's text in a request
+BIT_RATES = (19200, 38400, 57600, 115200, 250000, 500000, 750000)  # of RS-232
 ERROR_CODES = 20  # values below this are error codes (URG-04LX, table 3)
 MAX_RESPONSE = 32768  # bytes; a response of 9999 steps of 3 characters with checksums is 31 kB
 

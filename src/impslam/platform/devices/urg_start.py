@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import contextlib
 import threading
-from typing import Final
 
 from impslam.platform.devices import scip, scip_status
 from impslam.platform.devices.base import DeviceError
+from impslam.platform.devices.scip import BIT_RATES
 from impslam.platform.devices.scip_encoding import DamagedError
 from impslam.platform.devices.scip_info import MeasurementParameters, Version, fields
 from impslam.platform.devices.scip_link import ReceivedResponse, ScipLink, UnansweredError
 from impslam.platform.devices.urg_clock import SweepTimes
 
-BIT_RATES: Final = (19200, 38400, 57600, 115200, 250000, 500000, 750000)  # of RS-232
 SYNC_ROUNDS = 10  # of TM1
 READ_TRIES = 3  # to read an undamaged answer
 

@@ -11,8 +11,7 @@ from rosbags.rosbag2.storage_mcap import McapReader
 
 from impslam.platform.station.store import LOGS, Store, StoreError
 from impslam.sources.live_recording import is_being_written
-
-_MAGIC = b"\x89MCAP0\r\n"
+from impslam.sources.mcap_reader import MAGIC
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,8 +84,8 @@ def _end_of(path: Path) -> tuple[bool, float]:
     """Return whether the end of a log is missing, and its duration in s, or NaN."""
     try:
         with path.open("rb") as file:
-            file.seek(-len(_MAGIC), os.SEEK_END)
-            if file.read() != _MAGIC:
+            file.seek(-len(MAGIC), os.SEEK_END)
+            if file.read() != MAGIC:
                 return True, math.nan
     except OSError:  # empty, or vanished
         return True, math.nan

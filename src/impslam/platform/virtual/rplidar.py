@@ -8,14 +8,20 @@ from operator import xor
 
 import numpy as np
 
-from impslam.platform.devices.rplidar_protocol import CAPSULE, DESCRIPTORS, NODE, SAMPLES, Command
+from impslam.platform.devices.rplidar_protocol import (
+    CAPSULE,
+    DESCRIPTORS,
+    NODE,
+    SAMPLES,
+    UART_BITS,
+    Command,
+)
 from impslam.platform.virtual.base import Surroundings
 from impslam.simulation.robot import Lidar
 from impslam.types import Array
 
 BANNER = b"RP LIDAR System.\r\nFirmware Ver 1.29, HW Ver 7\r\n"  # sent at a boot
 QUALITY = 15  # of an echo, as A1 reports it
-UART_BITS = 10  # bits on the line for a byte
 
 # A1M8 at 10 Hz: 4 kHz in capsules, every second of them as single nodes; clockwise from the front.
 A1 = Lidar(

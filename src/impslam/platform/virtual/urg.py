@@ -16,7 +16,6 @@ from impslam.platform.devices.scip_encoding import encode, with_checksum
 from impslam.platform.virtual import urg_answers
 from impslam.platform.virtual.base import Surroundings
 from impslam.platform.virtual.urg_memory import (
-    BIT_RATES,
     COMMANDS,
     Memory,
     Order,
@@ -60,7 +59,7 @@ class UrgEmulator:
         self._sensor = UrgSensor(surroundings, drift, clock_start_ms, turn)
         self._rng = np.random.default_rng(seed)
         self._scip1, self._serial = scip1, serial
-        self._memory, self._line = Memory(not scip1, serial or BIT_RATES[0]), OutputLine()
+        self._memory, self._line = Memory(not scip1, serial or scip.BIT_RATES[0]), OutputLine()
         self._input = b""
         self._lasting = False
         self._time = 0.0
@@ -171,7 +170,7 @@ class UrgEmulator:
 
     def _reset(self) -> None:
         failure = self._memory.failure if self._lasting else ""
-        self._memory = Memory(True, self._serial or BIT_RATES[0], failure=failure)
+        self._memory = Memory(True, self._serial or scip.BIT_RATES[0], failure=failure)
         self._sensor.reset(self._time)
         self._sweep = 0
 
@@ -269,7 +268,7 @@ class UrgEmulator:
     def _do_ss(self, rate: str) -> tuple[str, bytes]:
         if not rate.isdigit():
             return "01", b""
-        if int(rate) not in BIT_RATES:
+        if int(rate) not in scip.BIT_RATES:
             return "02", b""
         if int(rate) == self._memory.bit_rate:
             return "03", b""

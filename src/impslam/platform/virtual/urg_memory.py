@@ -10,8 +10,6 @@ from typing import Final
 from impslam.platform.devices import scip
 from impslam.platform.virtual.urg_sensor import LAST_STEP
 
-BIT_RATES: Final = (19200, 38400, 57600, 115200, 250000, 500000, 750000)
-
 # The supported commands, and the number of characters of their parameters.
 COMMANDS: Final = (
     dict.fromkeys(("BM", "QT", "RS", "VV", "PP", "II"), 0)

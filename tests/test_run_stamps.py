@@ -9,7 +9,7 @@ from tests.recorded import Played
 from tests.steps import Steps
 from tests.test_bad_input import hall, recorded
 
-from impslam.cli.survey import Survey
+from impslam.cli.inspect_survey import Survey
 from impslam.columns import batches
 from impslam.config import load
 from impslam.diagnosis.diagnose import diagnose

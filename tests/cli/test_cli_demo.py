@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from impslam.cli.arena import degrees
+from impslam.cli.demo_arena import degrees
 from impslam.cli.run_folder import RUN_FILES
 
 

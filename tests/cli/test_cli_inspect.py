@@ -9,7 +9,7 @@ import pytest
 from tests.sources.logs import write_acfr_park
 
 from impslam.cli.inspect import _range_limits
-from impslam.cli.log_statistics import ScanGeometry
+from impslam.cli.inspect_statistics import ScanGeometry
 from impslam.simulation.simulate import simulate
 from impslam.simulation.world import load_world
 from impslam.sources.recording import McapWriter

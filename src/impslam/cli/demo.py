@@ -25,7 +25,7 @@ def demo(
         New folder for the results. Default: runs/arena-DATE-TIME.
     """
     with Interruption() as interruption:
-        from impslam.cli.arena import map_arena
+        from impslam.cli.demo_arena import map_arena
 
         quiet = common is not None and common.quiet
         map_arena(

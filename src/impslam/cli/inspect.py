@@ -12,8 +12,8 @@ from impslam.cli.console import Columns, Common, ConfigName, Flag, Settings, Top
 from impslam.cli.progress import display, with_progress
 
 if TYPE_CHECKING:
-    from impslam.cli.log_statistics import ScanGeometry
-    from impslam.cli.survey import Survey
+    from impslam.cli.inspect_statistics import ScanGeometry
+    from impslam.cli.inspect_survey import Survey
     from impslam.config import Config
     from impslam.diagnosis.finding import Finding
     from impslam.sources.base import Problems, Stream
@@ -39,8 +39,8 @@ def inspect(
     json
         Print everything as JSON.
     """
+    from impslam.cli.inspect_survey import Survey
     from impslam.cli.job import all_settings
-    from impslam.cli.survey import Survey
     from impslam.config_from_log import choices
     from impslam.open_log import open_log
 

@@ -7,9 +7,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from impslam.cli.log_statistics import ScanGeometry, StampStatistics
+from impslam.cli.inspect_statistics import ScanGeometry, StampStatistics
+from impslam.cli.inspect_survey import Survey
 from impslam.cli.output_files import json_text
-from impslam.cli.survey import Survey
 from impslam.sources.base import Problems, Source, Stream
 
 UNITS = {"temperature": "celsius", "humidity": "share"}

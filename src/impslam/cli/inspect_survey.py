@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 
 from impslam.calibration.recording import lidars_of
-from impslam.cli.log_statistics import MIN_BEAMS, ScanGeometry, StampStatistics
+from impslam.cli.inspect_statistics import MIN_BEAMS, ScanGeometry, StampStatistics
 from impslam.columns import Motions, Sweeps, log_order
 from impslam.component import find
 from impslam.config import Config

@@ -158,6 +158,9 @@ def test_results_are_the_same_to_the_byte_whatever_came_before(rng):
         guess = TRUTH + rng.uniform(-1.0, 1.0, 3) * [2.0, 2.0, 0.2]
         window = Window(2.5, 2.5, 0.3)
         used.find_closure(moved(REFERENCE, rng.normal(size=3)), QUERY, guess, window)
+        contradicted = used.contradiction(REFERENCE, QUERY, guess)
+        assert contradicted == Recogniser().contradiction(REFERENCE, QUERY, guess)
+        used.find_closure(moved(REFERENCE, rng.normal(size=3)), QUERY, guess, window)
         first = used.find_closure(REFERENCE, QUERY, guess, window)
         again = Recogniser().find_closure(REFERENCE, QUERY, guess, window)
         assert first.pose.tobytes() == again.pose.tobytes()

@@ -172,7 +172,7 @@ class LoopCloser:
                 window = self.window(float(paths[u]))
                 closure = self.recogniser.find_closure(reference, query, guess, window)
                 is_known = window.x <= MAX_KNOWN_WINDOW and offsets[u] < 0.5 * REFERENCE_RADIUS
-                contradicts = is_known and self._contradicts(query, guess, closure)
+                contradicts = is_known and self._contradicts(reference, query, guess, closure)
                 if contradicts:
                     closure = None
                 if attempt == 0:
@@ -197,12 +197,14 @@ class LoopCloser:
             self.doubtful = node - 1 if self._unconfirmed == node - 1 else node
         self.contradicted.append(node)
 
-    def _contradicts(self, query: Submap, guess: Array, closure: Closure | None) -> bool:
-        """Return whether the last reference contradicts a query that it should contain."""
+    def _contradicts(
+        self, reference: Submap, query: Submap, guess: Array, closure: Closure | None
+    ) -> bool:
+        """Return whether a reference contradicts a query that it should contain."""
         if closure is not None and closure.verdict == ClosureStrength.STRONG:
             return False
         pose = guess if closure is None else closure.pose
-        return self.recogniser.contradiction(query, pose) >= MIN_CONTRADICTED
+        return self.recogniser.contradiction(reference, query, pose) >= MIN_CONTRADICTED
 
     def compare(
         self, node: int, pose: Array, window: Window, keys: KeyframeLog, graph: PoseGraph

@@ -134,7 +134,7 @@ class Recogniser:
         `counts` records the reason.
         """
         self.counts["attempts"] += 1
-        if min(len(reference.features), len(query.features)) < MIN_POINTS:
+        if _has_too_few_points(reference, query):
             return self._reject("too few points")
         self._load(reference)
         task = Search(*search_points(query.features), window)
@@ -147,19 +147,19 @@ class Recogniser:
         self._count("found")
         return closure
 
-    def contradiction(self, query: Submap, guess: Array) -> float:
-        """Return the share of points by which the last reference and a query contradict each other.
+    def contradiction(self, reference: Submap, query: Submap, guess: Array) -> float:
+        """Return the share of points by which a reference and a query contradict each other.
 
         It is that of the points of either in the free space of the other, in excess of those in its own, at
         the guess (3,) or at the nearest pose that fits, where it is smaller. What the reference does not
         show contradicts nothing.
         """
-        if self.outcome == "too few points":
+        if _has_too_few_points(reference, query):
             return 0.0
-        assert self._reference is not None
+        self._load(reference)
         nearest = self._refine(query, plain(guess), FINE, FINE_PRIOR).pose
-        pair = self._known, self._reference, query
-        return min(excess_in_free_space(*pair, pose) for pose in (guess, nearest))
+        poses = (guess, nearest)
+        return min(excess_in_free_space(self._known, reference, query, pose) for pose in poses)
 
     def _is_unlikely(self, query: Submap, guess: Array, window: Window, closure: Closure) -> bool:
         """Return whether a closure is beyond three sigma of the guess, and the query fits there, too.
@@ -254,6 +254,10 @@ class Recogniser:
     def _count(self, outcome: str) -> None:
         self.counts[outcome] += 1
         self.outcome = outcome
+
+
+def _has_too_few_points(reference: Submap, query: Submap) -> bool:
+    return min(len(reference.features), len(query.features)) < MIN_POINTS
 
 
 def _weakest_axis(closure: Closure) -> Array:

@@ -74,7 +74,7 @@ def map_by_rows(log: Path, *settings: str) -> Mapped:
     config, source = open_log(log, None, settings)
     run, steps, attempts = Run(config), [], []
     closer = run.estimator._closer  # type: ignore[attr-defined]  # the graph's
-    closer.recogniser.close = timed(closer.recogniser.close, attempts)
+    closer.recogniser.find_closure = timed(closer.recogniser.find_closure, attempts)
     with source:
         run.robot.streams.choose(source.defaults())
         for batch in source.batches(1):

@@ -90,7 +90,7 @@ def mapped(log: Path) -> tuple[Run, Map, list[float]]:
     config, source = open_log(log, None, ())
     run, attempts = Run(config), []
     recogniser = run.estimator._closer.recogniser  # type: ignore[attr-defined]  # the graph's
-    recogniser.close = timed(recogniser.close, attempts)
+    recogniser.find_closure = timed(recogniser.find_closure, attempts)
     with source:
         run.robot.streams.choose(source.defaults())
         for batch in source.batches():

@@ -12,7 +12,7 @@ from impslam.errors import ShapeError
 from impslam.geometry.geodesy import LocalPlane
 from impslam.geometry.se2 import compose
 from impslam.run import Run
-from impslam.sensors.navsat import NavSat
+from impslam.sensors.gps import NavSat
 from impslam.types import Fix, SatelliteFix
 
 PLANE = LocalPlane(-33.9, 151.2, 60.0)

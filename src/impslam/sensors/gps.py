@@ -1,4 +1,7 @@
-"""A GPS: its fixes in a local east-north frame correct the pose through that frame (`landmarks.gps`)."""
+"""Satellite receivers: fixes in an east-north frame correct the pose through that frame (`landmarks.gps`).
+
+`gps` takes fixes in metres; `navsat` takes latitude and longitude, as receivers and `NavSatFix` give them.
+"""
 
 from __future__ import annotations
 
@@ -10,16 +13,17 @@ from pydantic import PrivateAttr
 
 from impslam.columns import Columns, Sweeps
 from impslam.component import parameter, register
+from impslam.geometry.geodesy import LocalPlane
 from impslam.landmarks.base import COURSE, COURSE_SIGMA
 from impslam.sensors.base import Sensor
-from impslam.types import Array, Fix, Mask, Message, Observation
+from impslam.types import NO_FIX, Array, Fix, Mask, Message, Observation, SatelliteFix
 
 MIN_COURSE_SIGMAS = 10.0  # distance of two fixes that determine the course to 0.14 rad
 
 
 @register("gps")
 class Gps(Sensor):
-    """A GPS; `landmarks.gps.antenna` is the position of its antenna on the robot."""
+    """Fixes in metres; `landmarks.gps.antenna` is the position of its antenna on the robot."""
 
     consumes: ClassVar[type[Message]] = Fix
     observes_unique: ClassVar[bool] = True
@@ -88,3 +92,47 @@ class Gps(Sensor):
                     COURSE_SIGMA: math.hypot(math.sqrt(2.0) / MIN_COURSE_SIGMAS, 0.3),
                 }
         return None
+
+
+@register("navsat")
+class NavSat(Gps):
+    """A GNSS receiver on the robot, or `sensor_msgs/NavSatFix` in a log: metres from its first fix."""
+
+    consumes: ClassVar[type[Message]] = SatelliteFix
+
+    _plane: LocalPlane | None = PrivateAttr(default=None)
+
+    def spans(self, columns: Columns) -> tuple[Array, Array]:
+        """Return the times of the fixes; the first usable one becomes the origin."""
+        usable = self.usable(columns)
+        if self._plane is None and usable.any():
+            first = columns.row(int(usable.argmax()))
+            assert isinstance(first, SatelliteFix)
+            altitude = first.altitude if np.isfinite(first.altitude) else 0.0
+            self._plane = LocalPlane(first.latitude, first.longitude, altitude)
+        return super().spans(columns)
+
+    def usable(self, columns: Columns) -> Mask:
+        """Return (m,) which rows are fixes with a finite position on the earth."""
+        north, east = np.abs(columns["latitude"]), np.abs(columns["longitude"])
+        return np.asarray((columns["status"] > NO_FIX) & (north <= 90.0) & (east <= 360.0))
+
+    def fault(self, message: Message) -> str:
+        """Describe the fault of a row without a fix, or with an invalid one."""
+        assert isinstance(message, SatelliteFix)
+        if message.status <= NO_FIX:
+            return f"the receiver has no fix at {message.stamp:.3f} s; it is ignored"
+        position = f"{message.latitude} deg, {message.longitude} deg"
+        return (
+            f"the fix at {message.stamp:.3f} s is not a valid position ({position}); it is dropped"
+        )
+
+    def _positions(self, columns: Columns) -> Array:
+        positions = np.full((len(columns), 2), np.nan)
+        usable = self.usable(columns)
+        if self._plane is not None:
+            rows = columns.take(usable)
+            height = np.full(len(rows), self._plane.altitude)  # robots do not fly
+            points = self._plane.points(rows["latitude"], rows["longitude"], height)
+            positions[usable] = points[:, :2]
+        return positions

@@ -192,6 +192,16 @@ def check_keyframe(keyframe: Keyframe) -> None:
             )
 
 
+def with_motion(keyframe: Keyframe, motion: Increment) -> tuple[Keyframe, str]:
+    """Return a keyframe with another motion, without its scan if `check_keyframe` fails, and the reason."""
+    try:
+        check_keyframe(keyframe)
+    except NumericalError as error:
+        reason = f"the scan at {keyframe.stamp:.3f} s is not used for the map: {error}"
+        return replace(keyframe, motion=motion, scan=None, observations=()), reason
+    return replace(keyframe, motion=motion), ""
+
+
 def is_definite(R: Array) -> bool:
     """Return whether a finite, symmetric R (d, d) is positive definite."""
     if len(R) == 2:  # nearly all observations; 20 times as fast as numpy's determinant

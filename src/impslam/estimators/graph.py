@@ -15,7 +15,7 @@ from pydantic import PrivateAttr
 from impslam.building.landmarks import landmarks_of
 from impslam.component import parameter, register
 from impslam.errors import NumericalError
-from impslam.estimators.base import MIN_SIGMA, Draft, Estimator, check_keyframe, is_finite
+from impslam.estimators.base import MIN_SIGMA, Draft, Estimator, is_finite, with_motion
 from impslam.estimators.keyframe_log import (
     KeyframeLog,
     Part,
@@ -324,19 +324,12 @@ def _refinable(keys: KeyframeLog, graph: PoseGraph) -> Part:
 
 def _usable(keyframe: Keyframe) -> tuple[Keyframe, str]:
     """Return the usable part of a keyframe, and what is wrong with the rest, or ""."""
-    motion, wrong = keyframe.motion, ""
+    motion = keyframe.motion
     if keyframe.lost:
         d_pose = np.where(np.isfinite(motion.d_pose), motion.d_pose, 0.0)
         motion = replace(motion, d_pose=d_pose, covariance=UNKNOWN * np.eye(3))
         keyframe = replace(keyframe, motion=motion)
-    try:
-        check_keyframe(keyframe)
-    except NumericalError as error:
-        wrong = str(error)
     if not is_finite(motion):
         motion = replace(motion, d_pose=np.zeros(3), covariance=UNKNOWN * np.eye(3))
     motion = replace(motion, covariance=motion.covariance + _MIN_COVARIANCE)
-    if not wrong:
-        return replace(keyframe, motion=motion), ""
-    reason = f"the scan at {keyframe.stamp:.3f} s is not used for the map: {wrong}"
-    return replace(keyframe, motion=motion, scan=None, observations=()), reason
+    return with_motion(keyframe, motion)

@@ -34,8 +34,7 @@ from pydantic import PrivateAttr
 
 from impslam.building.landmarks import landmarks_of
 from impslam.component import parameter, register
-from impslam.errors import NumericalError
-from impslam.estimators.base import MIN_SIGMA, Draft, Estimator, check_keyframe, is_finite
+from impslam.estimators.base import MIN_SIGMA, Draft, Estimator, is_finite, with_motion
 from impslam.estimators.grid_kernels import ancestors, lineage, propose
 from impslam.estimators.keyframe_log import KeyframeLog
 from impslam.estimators.particle_kernels import axes, systematic
@@ -253,15 +252,8 @@ def _usable(keyframe: Keyframe) -> tuple[Keyframe, str]:
 
     The motion of a lost robot is a guess of unknown covariance: all particles use it without noise.
     """
-    motion, wrong = keyframe.motion, ""
-    try:
-        check_keyframe(keyframe)
-    except NumericalError as error:
-        wrong = str(error)
+    motion = keyframe.motion
     if keyframe.lost or not is_finite(motion):
         d_pose = np.where(np.isfinite(motion.d_pose).all(), motion.d_pose, 0.0)
         motion = replace(motion, d_pose=d_pose, covariance=np.zeros((3, 3)))
-    if not wrong:
-        return replace(keyframe, motion=motion), ""
-    reason = f"the scan at {keyframe.stamp:.3f} s is not used for the map: {wrong}"
-    return replace(keyframe, motion=motion, scan=None, observations=()), reason
+    return with_motion(keyframe, motion)

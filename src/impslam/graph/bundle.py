@@ -27,6 +27,7 @@ from impslam.graph.block_system import (
     empty_system,
     solve_system,
 )
+from impslam.graph.checked import check_edges
 from impslam.surfaces.features import check_rows
 from impslam.types import Array, Edges, Ints, Mask, check_shape
 
@@ -129,12 +130,8 @@ def refine(
 
 
 def _check_ids(keyframes: int, pairs: Ints, edges: Edges) -> None:
-    e = len(edges.i)
     check_shape("pairs", pairs, None, 2)
-    check_shape("edges.j", edges.j, e)
-    check_shape("edges.T_i_j", edges.T_i_j, e, 3)
-    check_shape("edges.information", edges.information, e, 3, 3)
-    check_shape("edges.kernel", edges.kernel, e)
+    check_edges(edges)
     for ids in (pairs, edges.i, edges.j):
         if ids.size and not 0 <= ids.min() <= ids.max() < keyframes:
             raise ShapeError(

@@ -19,7 +19,10 @@ UNFIT = "most observations match no earlier landmark"
 """What is said where landmarks were entered from a pose that odometry had led astray."""
 CHANGED = "of the scan has changed at once"
 """What is also said of scans that odometry, which stands still or runs ahead, does not explain."""
-ONE_SIDED, FAR = "landmarks correct odometry to one side", "as far from their positions as expected"
+ONE_SIDED, FAR = (
+    "landmarks keep correcting odometry in one direction",
+    "as far from their positions as expected",
+)
 """What is also said until wheels that turn in vain are found out."""
 
 

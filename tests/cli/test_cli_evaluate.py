@@ -93,7 +93,9 @@ def test_a_run_folder_is_scored_against_its_own_truth(imp, tmp_path, monkeypatch
     # kind, true, matched, missing, false, double, RMS, max, NEES
     marks = next(line for line in said.out.splitlines() if " point " in line).split()[1:]
     assert marks == ["point", "2", "1", "1", "1", "0", "0.1000", "0.1000", "1.00"]
-    assert "from chi-square and the correlation of steps" in said.out
+    assert "its interval for consistent covariances and correlated poses" in " ".join(
+        said.out.split()
+    )
     assert "truth aligned with the map by the path's best fit" in said.out
 
 

@@ -159,10 +159,10 @@ def _describe_antenna(config: Config, in_log: Mount) -> str:
     given = config.landmarks.get("gps", {}).get("antenna")
     if given is None:
         return f" (antenna assumed to be at base_link: {in_log.origin}; set landmarks.gps.antenna)"
-    (x, y), origin = given, "the config"
+    (x, y), origin = given, " from the config"
     if in_log.pose is not None and (x, y) == in_log.pose[:2]:
-        origin = in_log.origin
-    return f" (antenna [{x:.3f} m, {y:.3f} m], {origin})"
+        origin = f", {in_log.origin}"
+    return f" (antenna [{x:.3f} m, {y:.3f} m]{origin})"
 
 
 def _matches(mount: Mount, table: dict[str, object]) -> bool:

@@ -141,7 +141,7 @@ def test_the_antenna_of_a_receiver_is_located_by_transforms(entries, tmp_path, f
     assert "(antenna [-0.400 m, 0.200 m], /tf_static: base" in choices(config, source)
     config, source = open_log(log, None, [*asked, "landmarks.gps.antenna=[1.0, 0.0]"])
     assert config.make_models()["gps"].antenna == (1.0, 0.0)
-    assert "(antenna [1.000 m, 0.000 m], the config)" in choices(config, source)
+    assert "(antenna [1.000 m, 0.000 m] from the config)" in choices(config, source)
 
 
 def test_the_transforms_at_the_first_scan_count(entries, tmp_path):

@@ -95,8 +95,8 @@ def test_paths_with_blanks_and_percents():
         ({"folder": Path("logs")}, "absolute"),
         ({"arguments": ["a\nExecStartPre=/bin/evil"]}, "characters"),
         ({"folder": Path("/srv/a\tb")}, "characters"),
-        ({"user": "imp\nUser=root"}, "no user"),
-        ({"user": ""}, "no user"),
+        ({"user": "imp\nUser=root"}, "not a user name"),
+        ({"user": ""}, "not a user name"),
         ({"user": "nobody-of-that-name"}, "adduser"),
     ],
 )

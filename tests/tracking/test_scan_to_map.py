@@ -17,6 +17,7 @@ from impslam.tracking.base import KeyframeGate
 from impslam.tracking.frozen import remains_frozen
 from impslam.tracking.fusion import SPEED_SIGMA
 from impslam.tracking.learned_odometry import START
+from impslam.tracking.match_information import NORMAL_SIGMA, information, remove_spurious
 from impslam.tracking.scan_to_map import ScanToMap
 from impslam.types import Increment
 
@@ -666,21 +667,16 @@ def test_a_bare_corridor_neither_stops_odometry_nor_changes_its_scale(rng):
     assert abs(off[-1, 0]) < 0.1
 
 
-def test_round_walls_do_not_hold_the_robot_back(rng):
-    """They show no turn about their centre, and odometry is good: 1 cm and 0.01 rad over this lap.
-
-    Noise of the normals is taken for information along the walls otherwise, and each match is drawn to
-    the last pose: the robot then lags by 0.6 to 1 m.
-    """
-    corners = np.linspace(0.0, 2.0 * math.pi, 91)
-    ring = 4.0 * np.stack((np.cos(corners), np.sin(corners)), 1)
-    poses = circle(200, radius=1.9)
-    scans = scans_from(
-        poses, np.stack((ring[:-1], ring[1:]), 1), range_max=3.5, noise=0.02, rng=rng
-    )
-    error = rng.normal(0.0, 0.001, (200, 3))
-    _, _, off = drive(poses, odometry_of(poses, error), scans)
-    assert_near(off, 0.25, 0.12)
+def test_spurious_information_is_subtracted_from_the_weakest_axis_alone(rng):
+    J = rng.standard_normal((40, 3)) * [0.02, 1.0, 2.0]
+    H = J.T @ J
+    before, after = information(H), H.copy()
+    remove_spurious(after)
+    weakest, strongest, axis = information(after)
+    expected = before[0] - NORMAL_SIGMA**2 * before[1]
+    assert weakest == pytest.approx(max(expected, 0.0), abs=1e-9)
+    assert strongest == pytest.approx(before[1])
+    assert math.sin(axis - before[2]) == pytest.approx(0.0, abs=1e-9)
 
 
 def test_a_lidar_alone_goes_on_after_blind_scans():

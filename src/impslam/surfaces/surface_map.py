@@ -221,7 +221,7 @@ def normal_equations(
     """Fill `out` with the evidence of every `step`-th feature for a pose (3,), with kernel `scale` m."""
     height, width = surface_map.cells.shape
     c, s = math.cos(pose[2]), math.sin(pose[2])
-    least = min_cell(scale)
+    min_cell = _min_cell(scale)
     # Sums in tuples stay in registers; in arrays, every point would wait for the previous one.
     sums = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     left, low = pose[0] - surface_map.corner[0], pose[1] - surface_map.corner[1]
@@ -235,7 +235,7 @@ def normal_equations(
             continue
         inside += 1.0
         cell = surface_map.cells[int(v), int(u)]
-        if cell < least:
+        if cell < min_cell:
             continue
         surfel, weight = surface_map.surfels[surfel_of(cell)], float(features[i, 4])
         ex, ey = pose[0] + rx - surfel[_X], pose[1] + ry - surfel[_Y]
@@ -260,7 +260,7 @@ def normal_equations(
 
 
 @kernel
-def min_cell(scale: float) -> int:
+def _min_cell(scale: float) -> int:
     """Return the least value of a cell whose surfel is within 3 `scale` m, or two cells."""
     radius = min(float(RADIUS), max(3.0 * scale / CELL, 2.0))
     return math.ceil(RADIUS * RADIUS + 1 - radius * radius) << _BITS

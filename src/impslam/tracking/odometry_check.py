@@ -25,11 +25,10 @@ from impslam.geometry.chain import advance, advance_pose
 from impslam.geometry.kernels import kernel
 from impslam.health import NONE, OPPOSED, PUSHED, SLIPPED, Reasons
 from impslam.surfaces.features import Features, leave_out_oblique
-from impslam.surfaces.normal_errors import spurious_information
 from impslam.surfaces.surface_map import Alignment, align, no_evidence
 from impslam.tracking.beams import BeamColumns, find_beam_features
 from impslam.tracking.match_faults import INITIAL_SHARE, STATIONARY_SHARE, turns_oppose
-from impslam.tracking.match_information import add_drift, discount_spurious
+from impslam.tracking.match_information import add_drift, remove_spurious
 from impslam.tracking.offsets import (
     Offsets,
     check_offsets,
@@ -260,19 +259,17 @@ def _refine(
 ) -> bool:
     """Refine the motion if enough points fit the submap; return whether there is a solution."""
     place, usual = pending.place, pending.usual[0]
-    guess, prior = place.copy(), rotate_covariance(covariance, place[2])
-    advance_pose(guess, motion)
+    pose, prior = place.copy(), rotate_covariance(covariance, place[2])
+    advance_pose(pose, motion)
     if not invert(prior):
         return False
     weights, evidence = np.array([prior[0, 0], prior[1, 1], prior[2, 2]]), no_evidence()
-    pose, submap = guess.copy(), older_map(submaps)
-    share = align(submap, features, pose, weights, matching, evidence)
+    share = align(older_map(submaps), features, pose, weights, matching, evidence)
     pending.usual[0] += SHARE_MEMORY * (share - usual)
     if share < max(MIN_SHARE, MIN_FIT * usual):
         return True
     information = matching.information * evidence.H
-    S = matching.information * spurious_information(submap, features, pose, matching.narrow)
-    discount_spurious(information, S, weights, guess, pose)
+    remove_spurious(information)
     information += prior
     if not (np.isfinite(pose).all() and invert(information)):
         return False

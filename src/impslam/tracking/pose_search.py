@@ -7,7 +7,6 @@ import numpy as np
 from impslam.geometry.chain import advance_pose
 from impslam.geometry.kernels import kernel
 from impslam.surfaces.features import Features
-from impslam.surfaces.normal_errors import spurious_information
 from impslam.surfaces.surface_map import Alignment, align
 from impslam.tracking.hypotheses import (
     SLIP_SIGMAS,
@@ -17,7 +16,6 @@ from impslam.tracking.hypotheses import (
     is_expected,
     search,
 )
-from impslam.tracking.match_information import discount_spurious
 from impslam.tracking.matching_state import Settings, State
 from impslam.tracking.reach import is_after_gap
 from impslam.tracking.submaps import older_map
@@ -64,8 +62,6 @@ def find_pose(features: Features, state: State, settings: Settings, H: Array, W:
     chi2 = chi2_of(state.pose, predicted)
     H[:] = weight * state.evidence.H
     W[:] = prior / (1.0 + chi2 / slack2)
-    S = weight * spurious_information(submap, features, state.pose, how.narrow)
-    discount_spurious(H, S, W, predicted.pose, state.pose)
     return share
 
 

@@ -40,7 +40,7 @@ from impslam.tracking.match_faults import (
     disputed_variance,
     fits_poorly,
 )
-from impslam.tracking.match_information import add_along, add_drift, information
+from impslam.tracking.match_information import add_along, add_drift, information, remove_spurious
 from impslam.tracking.matching_state import ScanMatch, Settings, State
 from impslam.tracking.pose_search import SEARCH_BELOW, USUAL_SHARE, find_pose
 from impslam.tracking.reach import widen_after_gap
@@ -253,6 +253,8 @@ def _match(
     guess, means = state.pose.copy(), state.averages.copy()
     usual, H, W = means[0], np.empty((3, 3)), np.empty(3)
     share = find_pose(features, state, settings, H, W)
+    if no_odometry:
+        remove_spurious(H)
     off = np.empty(3)
     between(guess, state.pose, off)
     fit = MatchQuality(state.evidence.sums[0], share, off)

@@ -14,10 +14,9 @@ from impslam.estimators.particle_landmarks import LandmarkTable
 from impslam.landmarks.base import Prediction
 from impslam.types import Array, Ints, Mask, Match, Observation
 
-MAX_GAP = 1.0
-"""m between two pieces of one wall: a door."""
-MAX_SIGMAS = 5.0
-"""Standard deviations by which a landmark may be misplaced; beyond any gate."""
+MAX_GAP, MAX_SIGMAS = 1.0, 5.0
+"""m between two pieces of one wall: a door; and standard deviations by which a landmark may be misplaced,
+beyond any gate."""
 _BASE = np.zeros(3)
 
 

@@ -17,7 +17,6 @@ from impslam.simulation.world import load_world
 from impslam.studies.chapter4 import WORLDS, figures
 from impslam.studies.chapter4_detections import (
     MAX_DISTANCE,
-    MAX_TURN,
     ScanDetections,
     ThesisExtractors,
     detect,
@@ -45,6 +44,7 @@ from impslam.studies.chapter4_scans import (
     snapshots,
     world_of,
 )
+from impslam.studies.corridor_truth import MAX_WALL_TURN
 from impslam.studies.report import Section
 from impslam.sweeps.job import Job
 from impslam.types import Array, Observation
@@ -190,10 +190,10 @@ def to_nearest_wall(snapshot: SceneSnapshot, finding: Observation) -> float:
     ends = transform(snapshot.pose, finding.end_points)
     dx, dy = np.abs(ends[1] - ends[0])
     apart = [math.inf]
-    if math.atan2(dx, dy) <= MAX_TURN:
+    if math.atan2(dx, dy) <= MAX_WALL_TURN:
         outside = max(BOTTOM - y, y - TOP, 0.0)
         apart += [math.hypot(x - LEFT, outside), math.hypot(x - RIGHT, outside)]
-    if math.atan2(dy, dx) <= MAX_TURN:
+    if math.atan2(dy, dx) <= MAX_WALL_TURN:
         outside = max(LEFT - x, x - RIGHT, 0.0)
         apart += [math.hypot(y - BOTTOM, outside), math.hypot(y - TOP, outside)]
     return min(apart)

@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from impslam.studies.corridor_truth import MAX_WALL_TURN
 from impslam.studies.extractor_scores import (
     MAX_DISTANCE,
-    MAX_TURN,
     Counts,
     Detection,
     known_association,
@@ -74,7 +74,7 @@ def test_nothing_seen_nothing_found():
     "observed",
     [
         wall(2.0 + 1.5 * MAX_DISTANCE, 0.0, range(50)),  # too far off
-        wall(2.0, 1.2 * MAX_TURN, range(50)),  # turned too far
+        wall(2.0, 1.2 * MAX_WALL_TURN, range(50)),  # turned too far
         wall(2.0, 0.0, range(25, 85)),  # most of its beams are of something else
         wall(2.0, 0.0, range(50, 60)),  # all of them are
         wall(2.0, math.pi, range(50)),  # the wall's other side

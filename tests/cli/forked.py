@@ -68,7 +68,8 @@ class Forked:
         """Send a signal to the process."""
         os.kill(self._process.pid, number)
 
-    def communicate(self) -> tuple[str, str]:
-        """Wait for the end; return what it printed, few enough lines to fit into a pipe."""
-        self._process.join()
+    def communicate(self, timeout: float | None = None) -> tuple[str, str]:
+        """Wait for the end, at most `timeout` s; return what it printed, which has to fit into a pipe."""
+        self._process.join(timeout)
+        assert self._process.exitcode is not None, f"the process still runs after {timeout} s"
         return self.stdout.read(), self.stderr.read()

@@ -177,19 +177,17 @@ def slow(*args, **options):
         for _ in range(signals):
             process.send_signal(signal.SIGINT)
             time.sleep(0.2)
-        out, err = process.communicate()
+        out, err = process.communicate(timeout=30)
     assert (process.returncode, err) == (130, "imp: interrupted\n")
     assert ("ended" in out) == (signals == 1)
     assert not (tmp_path / "run").exists()
 
 
 @pytest.mark.parametrize(
-    ("words", "number", "said", "code"),
-    [
-        (("merge", "a.imp", "b.imp"), signal.SIGINT, "interrupted", 130),
-        (("localise", "a.imp", "log"), signal.SIGTERM, "terminated", 143),
-    ],
+    ("number", "said", "code"),
+    [(signal.SIGINT, "interrupted", 130), (signal.SIGTERM, "terminated", 143)],
 )
+@pytest.mark.parametrize("words", [("merge", "a.imp", "b.imp"), ("localise", "a.imp", "log")])
 def test_a_signal_ends_work_on_maps_with_one_line(tmp_path, words, number, said, code) -> None:
     slow = """
 from impslam import localisation, map as maps

@@ -78,7 +78,7 @@ def test_a_drive_without_noise_is_exact(make):
 def test_the_joint_covariance_is_that_of_the_landmarks_in_their_order(make):
     made = make()
     run(made, 12, np.random.default_rng(4))
-    for _ in ("before settling", "after it"):
+    for _ in ("before refining", "after it"):
         joint, found = made.landmark_covariance(), made.landmarks()
         assert [mark.id for mark in found] == sorted(mark.id for mark in found)
         assert joint.shape in {(0, 0), (2 * len(found),) * 2}
@@ -99,7 +99,7 @@ def test_it_starts_at_the_given_pose(make):
 
 def test_a_revision_has_a_pose_and_a_covariance_for_each_keyframe_and_the_same_bytes_again(make):
     runs = [make(), make()]
-    one, two = (run(made, 25, np.random.default_rng(2))[1] for made in runs)
+    one, two = (run(made, rng=np.random.default_rng(2))[1] for made in runs)
     for k, revision in enumerate(one):
         m = len(revision.ids)
         assert revision.ids.dtype == np.int64

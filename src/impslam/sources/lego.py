@@ -27,13 +27,11 @@ from impslam.errors import MessageError, SourceError
 from impslam.sources.base import Stream
 from impslam.sources.parts import LocatedMessage
 from impslam.sources.text import TextSource, beam_angles, beam_times, check_finite, head, numbers
+from impslam.sources.urg04lx import BEAM_TIME, RANGE_MIN, STEP
 from impslam.types import LaserScan, Message, TrueLandmark, TruePose, WheelAngles
 
-STEP = 2.0 * math.pi / 1024.0  # rad, beams of a URG-04LX
 MOUNT = math.radians(-4.0)  # rad; the format's beam angles include the rotation of the mount
 START = -330.0 * STEP + MOUNT
-BEAM_TIME = 60.0 / 600.0 / 1024.0  # s; 600 rpm
-RANGE_MIN = 0.02  # m; smaller values are error codes
 SCORING = "only for scoring"
 
 

@@ -18,10 +18,10 @@ from impslam.columns import Columns
 from impslam.component import register
 from impslam.errors import MessageError
 from impslam.sources.base import Stream
-from impslam.sources.lego import BEAM_TIME, RANGE_MIN, STEP
 from impslam.sources.parts import LocatedMessage, Piece, single
 from impslam.sources.tables import Lines
 from impslam.sources.text import TextSource, beam_angles, beam_times, check_finite, head, numbers
+from impslam.sources.urg04lx import BEAM_TIME, RANGE_MIN, STEP
 from impslam.types import Array, LaserScan, WheelAngles
 
 BEAMS = 682  # steps 44 to 725

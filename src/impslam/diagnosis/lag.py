@@ -13,13 +13,11 @@ import numpy as np
 
 from impslam.diagnosis.robust import CLEAR, fit
 from impslam.diagnosis.travel import Odometer, SweepMotions
+from impslam.odometry.synchroniser import MAX_DELAY
 from impslam.types import Array, Ints
 
 MAX_LAG, LAG_STEP = 1.0, 0.05
 """s: range and step of the search: half of the time in which the quickest turn begins."""
-WIDE_LAG = 10.0
-"""s: range of a second search if the first one finds nothing: clocks of two computers that nothing
-synchronises differ by seconds."""
 RATE_INTERVAL = 0.1
 """s over which a turn rate is computed: the time between two readings of slow odometry."""
 MAX_READING_PERIOD = 0.6
@@ -54,7 +52,7 @@ def estimate_lag(motion: SweepMotions, odometer: Odometer) -> Lag | None:
     found = _search(motion, odometer, MAX_LAG)
     if found is not None and abs(found.seconds) < MAX_LAG - LAG_STEP:
         return found
-    return _search(motion, odometer, WIDE_LAG) or found
+    return _search(motion, odometer, MAX_DELAY) or found
 
 
 def _search(motion: SweepMotions, odometer: Odometer, largest: float) -> Lag | None:

@@ -42,8 +42,8 @@ from impslam.types import Array, Increment, Ints, Mask
 MAX_WAIT = 25
 """Rows of the log after which a sweep waits no longer for odometry and is used with the motion so far."""
 MAX_DELAY = 10.0
-"""s from the end of a sweep to its stamp for which odometry is awaited: the longest delay that the
-diagnosis searches for. A later stamp is one of another clock."""
+"""s from the end of a sweep to its stamp, of clocks of two computers that nothing synchronises. Odometry is
+awaited for so long, and the diagnosis searches for such delays; a later stamp is one of another clock."""
 MAX_MOTIONS = 20_000
 """Motions that are stored separately: 200 s of odometry at 100 Hz without a sweep. Beyond that the older
 half is merged into one, so that a lidar that is silent for hours does not fill the memory."""

@@ -110,17 +110,19 @@ def read_odometry(message: RosMessage, stamp: float) -> OdometryPose:
     """
     if "Transform" in message.__msgtype__:
         read_transform(message)
-        pose = message.transform
-        return OdometryPose(stamp, _planar(pose.translation, pose.rotation))
-    pose = getattr(message.pose, "pose", message.pose)
-    return OdometryPose(stamp, _planar(pose.position, pose.orientation))
+    return OdometryPose(stamp, _planar(*_position_and_orientation(message)))
 
 
 def quaternion_norm(message: RosMessage) -> float:
     """Return the norm of the orientation in a message that `read_odometry` reads."""
+    return math.hypot(*_vector(_position_and_orientation(message)[1], "xyzw"))
+
+
+def _position_and_orientation(message: RosMessage) -> tuple[Any, Any]:
     if "Transform" in message.__msgtype__:
-        return math.hypot(*_vector(message.transform.rotation, "xyzw"))
-    return math.hypot(*_vector(getattr(message.pose, "pose", message.pose).orientation, "xyzw"))
+        return message.transform.translation, message.transform.rotation
+    pose = getattr(message.pose, "pose", message.pose)
+    return pose.position, pose.orientation
 
 
 def read_velocity(message: RosMessage, stamp: float) -> Velocity:

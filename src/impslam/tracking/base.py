@@ -191,13 +191,11 @@ class Tracker(Component):
         sweeps, wrong, amounts, unmeasured = self._screening.screen(motions, sweeps, self._problems)
         sweeps = writable(motions, sweeps)
         steps = self.steps(motions, sweeps, Gate(self._limits, travelled))
-        contradicted = (steps.reasons >= SLIPPED) & (steps.reasons <= STALLED)
-        steps.reasons[contradicted & unmeasured] = UNMEASURED
+        steps.reasons[_contradicted(steps.reasons) & unmeasured] = UNMEASURED
         worse = wrong > steps.reasons
         steps.reasons[worse], steps.amounts[worse] = wrong[worse], amounts[worse]
         self._note("turns against scans", _OPPOSED, sweeps, steps.reasons == OPPOSED)
-        contradicted &= (steps.reasons >= SLIPPED) & (steps.reasons <= STALLED)
-        self._note("odometry against scans", _CONTRADICTED, sweeps, contradicted)
+        self._note("odometry against scans", _CONTRADICTED, sweeps, _contradicted(steps.reasons))
         self._note("robot carried", _CARRIED, sweeps, steps.reasons == CARRIED)
         none_due = np.zeros(len(sweeps), np.bool_)
         for name, others in self._travelled.items():  # sensors see different things
@@ -302,6 +300,11 @@ class Tracker(Component):
             amount=float(steps.amounts[row]),
             reach=(float(steps.reach[row, 0]), float(steps.reach[row, 1])),
         )
+
+
+def _contradicted(reasons: Reasons) -> Mask:
+    """Return for which sweeps the scans contradict odometry."""
+    return (reasons >= SLIPPED) & (reasons <= STALLED)
 
 
 @kernel

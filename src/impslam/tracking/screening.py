@@ -68,7 +68,7 @@ class Screening:
     def __init__(self) -> None:
         self._lidars = PerLidar(_no_scans)
         self._gaps: dict[str, tuple[Array, Array]] = {}  # see `_find_gaps`, for each sensor
-        self._ongoing = ""  # text of the first silence of odometry, until its end is known
+        self._is_first_silence = False  # whether the first silence of odometry goes on
 
     def screen(self, motions: Motions, sweeps: Sweeps, problems: Problems) -> Screened:
         """Screen the next sweeps of a sensor; `motions` are by odometry, before each."""
@@ -88,13 +88,12 @@ class Screening:
         """Record silences of odometry; `silences` (m + 1,) begin with that before the sweeps."""
         now = silences[1:]
         for k in np.flatnonzero((now > MAX_SILENCE) & (silences[:-1] <= MAX_SILENCE)).tolist():
-            text = _SILENT.format(f"after {stamps[k] - now[k]:.3f} s")
-            self._ongoing = self._ongoing if SILENT in problems.counts else text
-            problems.add(SILENT, text)
+            self._is_first_silence |= SILENT not in problems.counts
+            problems.add(SILENT, _SILENT.format(f"after {stamps[k] - now[k]:.3f} s"))
         for k in np.flatnonzero(now < -MAX_SILENCE).tolist():
-            if self._ongoing:
+            if self._is_first_silence:
                 span = f"from {stamps[k] + now[k]:.3f} to {stamps[k]:.3f} s"
-                problems.examples[SILENT], self._ongoing = _SILENT.format(span), ""
+                problems.examples[SILENT], self._is_first_silence = _SILENT.format(span), False
 
     def _screen_lidar(
         self, motions: Motions, sweeps: Sweeps, reasons: Reasons, amounts: Array, problems: Problems

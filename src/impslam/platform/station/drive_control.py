@@ -151,7 +151,7 @@ class DriveControl:
             changed = not self._stopped
             self._stopped = f"emergency stop by {by}"
             self._command = (0.0, 0.0)
-            # Within the lock, so that device and drive_control agree if a release comes at the same time.
+            # Within the lock, so that the device and this agree if a release comes at the same time.
             if self._device is not None:
                 self._device.emergency_stop()
         if changed:
@@ -204,7 +204,7 @@ class DriveControl:
             try:
                 self._send()
             except Exception:  # a bug; if it persists, the watchdog notices
-                log.exception("drive_control")
+                log.exception("drive control")
             else:
                 self._sent_at = now()
         if self._device is not None:

@@ -57,7 +57,7 @@ class HeaderStamps:
         if nanoseconds or self._starts_at_zero or log_time <= NANOSECONDS:
             return nanoseconds
         delay = self._delays.get(topic, 0)
-        less = f" less {seconds(delay):.3f} s, as of other messages," if delay else ""
+        less = f" less {seconds(delay):.3f} s, the delay of other messages," if delay else ""
         self._problems.add(
             "no stamp",
             f"{self._path}: {topic} has headers without a stamp; the log time{less} is used",

@@ -4,9 +4,9 @@ The beams of a sweep are fired while the robot moves. With a constant body twist
 exp(t xi) when a beam is fired t seconds after the middle of the sweep; the beam's origin and end point are
 transformed by that motion.
 
-A beam is valid if its direction is within the field of view, and its range is positive, not below range_min,
-and below range_max (REP 117). If nothing returns, drivers report 0, infinity, or exactly range_max, at which
-a surface hardly ever is; lidars report error codes below their smallest range.
+A beam is valid if its direction is within the field of view, and its range is positive, not below
+range_min, and below range_max (REP 117). If nothing returns, drivers report 0, infinity, or exactly
+range_max, at which a surface hardly ever is; lidars report error codes below their smallest range.
 """
 
 from __future__ import annotations

@@ -21,7 +21,8 @@ from impslam.tracking.scan_to_map import ScanToMap
 from impslam.types import Array, Ints, Mask
 
 MAX_MISMATCHES, CHUNK = 5, 100
-"""Consecutive scans that do not fit, after which the tracker restarts; and sweeps per tracker call."""
+"""Consecutive scans that do not fit, after which the tracker restarts; and sweeps that are processed at
+once."""
 MIN_INFORMATION = 0.02
 """Smallest information per point of a scan on the weakest combination of x, y and turn; 1 at most. In a
 round room with a box it is 0.01, by normals that are off by 0.1 rad; in rooms with corners 0.03 to 0.2."""
@@ -123,19 +124,39 @@ def determines_pose(scans: Scans) -> Mask:
     normals n of surfaces at p have the information J^T J, J = [n, p x n]; in a round room, all of it about
     the turn around the centre comes from errors of the normals, which move a scan just as well.
     """
-    spacing, found = beam_spacing(scans.angles), np.empty((scans.points.shape[1], 5), np.float32)
-    weakest = np.zeros(len(scans.stamps))
-    for k in range(0, len(weakest), EVERY):
+    rows = np.arange(0, len(scans.stamps), EVERY)
+    at, p, n = _surface_points(scans, rows)
+    points = np.maximum(np.bincount(at, minlength=len(rows)), 1)
+    size = np.sqrt(np.bincount(at, (p**2).sum(axis=1), len(rows)) / points)
+    lever = (p[:, 0] * n[:, 1] - p[:, 1] * n[:, 0]) / size[at]
+    J = np.column_stack((n, lever))
+    weakest = np.linalg.eigvalsh(_sums(at, len(rows), J, J) / points[:, None, None])[:, 0]
+    return np.repeat(weakest > MIN_INFORMATION, EVERY)[: len(scans.stamps)]
+
+
+def _surface_points(scans: Scans, rows: Ints) -> tuple[Ints, Array, Array]:
+    """Return, for the points on surfaces of some scans, the scans (k,), positions and normals (k, 2).
+
+    Scans are given by their places in `rows`.
+    """
+    spacing, out = beam_spacing(scans.angles), np.empty((scans.points.shape[1], 5), np.float32)
+    found = [np.empty((0, 5), np.float32)]
+    for k in rows.tolist():
         count = find_features(
-            scans.points[k], scans.valid[k], scans.ranges[k], scans.origins[k], spacing, THIN, found
+            scans.points[k], scans.valid[k], scans.ranges[k], scans.origins[k], spacing, THIN, out
         )
-        rows = found[:count][found[:count, 4] > 0.0].astype(np.float64)
-        if len(rows):
-            p, n = rows[:, :2], rows[:, 2:4]
-            lever = (p[:, 0] * n[:, 1] - p[:, 1] * n[:, 0]) / np.sqrt((p**2).sum(axis=1).mean())
-            J = np.column_stack((n, lever))
-            weakest[k : k + EVERY] = np.linalg.eigvalsh(J.T @ J / len(rows))[0]
-    return weakest > MIN_INFORMATION
+        found.append(out[:count][out[:count, 4] > 0.0])
+    counts = [len(some) for some in found[1:]]
+    every = np.concatenate(found).astype(np.float64)
+    return np.repeat(np.arange(len(rows)), counts), every[:, :2], every[:, 2:4]
+
+
+def _sums(at: Ints, count: int, left: Array, right: Array) -> Array:
+    """Return (count, a, b): the sum of the products of `left` (k, a) and `right` (k, b) for each scan."""
+    sums = np.empty((count, left.shape[1], right.shape[1]))
+    for a, b in np.ndindex(*sums.shape[1:]):
+        sums[:, a, b] = np.bincount(at, left[:, a] * right[:, b], count)
+    return sums
 
 
 def chain(motions: Array) -> Array:
@@ -170,26 +191,27 @@ def undistorted(lidar: Lidar2D, scans: Sequence[Columns], path: LidarPath) -> Li
         if not (ends > begins).any():
             continue
         raw = own.sweeps(piece, np.zeros((len(piece), 3)))
-        for k in np.flatnonzero(apart[start : start + len(piece)] > 0.5 * (ends - begins)).tolist():
-            moved[start + k] = _distortion(raw, k, path.twists[start + k])
+        timed = np.flatnonzero(apart[start : start + len(piece)] > 0.5 * (ends - begins))
+        for k in range(0, len(timed), CHUNK):
+            rows = timed[k : k + CHUNK]
+            moved[start + rows] = _distortions(raw, rows, path.twists[start + rows])
     poses = compose(path.poses, exp(-moved))
     poses[:, 2] = path.poses[:, 2] - moved[:, 2]  # not wrapped
     return path._replace(poses=poses)
 
 
-def _distortion(raw: Scans, k: int, twist: Array) -> Array:
-    """Return the twist (3,) m, m, rad by which the motion during sweep k moves its match."""
-    features, spacing = np.empty((len(raw.angles), 5), np.float32), beam_spacing(raw.angles)
-    count = find_features(
-        raw.points[k], raw.valid[k], raw.ranges[k], raw.origins[k], spacing, THIN, features
-    )
-    rows = features[:count][features[:count, 4] > 0.0].astype(np.float64)
-    if raw.after is None or not len(rows):
-        return np.zeros(3)
-    p, n = rows[:, :2], rows[:, 2:4]
+def _distortions(raw: Scans, rows: Ints, twists: Array) -> Array:
+    """Return the twists (k, 3) m, m, rad by which the motion during some sweeps moves their matches."""
+    if raw.after is None:
+        return np.zeros((len(rows), 3))
+    at, p, n = _surface_points(raw, rows)
     t = np.interp(np.arctan2(p[:, 1], p[:, 0]), raw.angles, raw.after, period=math.tau)
     J = np.column_stack((n, p[:, 0] * n[:, 1] - p[:, 1] * n[:, 0]))
-    return np.asarray(np.linalg.lstsq(J, t * (J @ twist), rcond=1e-6)[0], np.float64)
+    off = t * (J * twists[at]).sum(axis=1)
+    information = _sums(at, len(rows), J, J)
+    # 1e-12 of the largest eigenvalue is 1e-6 of the largest singular value of J
+    covariance = np.linalg.pinv(information, rcond=1e-12, hermitian=True)
+    return np.asarray((covariance @ _sums(at, len(rows), J, off[:, None]))[..., 0], np.float64)
 
 
 def _with_starts(scans: Sequence[Columns]) -> Iterator[tuple[int, Columns]]:

@@ -100,12 +100,10 @@ def _rms(A: Array, turns: Array) -> float:
 
 def _rows(odometer: Odometer, before: Array, after: Array) -> Array:
     """Return (m, 3): the derivative by the lag, the turn, and the distance by odometry."""
-    motion = odometer.at(after) - odometer.at(before)
-    by_lag = _rate(odometer, after) - _rate(odometer, before)
-    return np.column_stack((by_lag, motion[:, 2], motion[:, 0]))
-
-
-def _rate(odometer: Odometer, times: Array) -> Array:
-    """Return the turn rate (k,) rad/s at times (k,)."""
     half = 0.5 * RATE_INTERVAL
-    return (odometer.at(times + half) - odometer.at(times - half))[:, 2] / RATE_INTERVAL
+    times = before, after, before - half, before + half, after - half, after + half
+    sums = odometer.at(np.concatenate(times)).reshape(len(times), -1, 3)
+    motion, (before_turn, after_turn) = sums[1] - sums[0], (sums[3::2] - sums[2::2])[..., 2]
+    return np.column_stack(
+        (after_turn / RATE_INTERVAL - before_turn / RATE_INTERVAL, motion[:, 2], motion[:, 0])
+    )

@@ -9,7 +9,7 @@ from tests.recorded import perfect
 
 from impslam.calibration.lidar_path import LidarPath, lidar_path, twists
 from impslam.calibration.recording import first_lidar, record_batches
-from impslam.calibration.scan_pairs import _misfit, align, match_pairs, pairs, surface
+from impslam.calibration.scan_pairs import _misfit, align, match_pairs, nearest, pairs, surface
 from impslam.columns import batches
 from impslam.config import load
 from impslam.evaluation.trajectory import interpolate
@@ -43,9 +43,8 @@ def test_scans_of_different_places_do_not_match():
 def test_jacobian_by_the_pose():
     """Points are up to 2 cm beside their partners, so b's half of the rotating normal moves e by 1 cm."""
     a, b, at = seen(np.zeros(3)), seen(MOTION), MOTION + np.array([0.002, -0.003, 0.001])
-    trees = cKDTree(a.points), cKDTree(b.points)
-    e, J, off = _misfit(a, b, trees, at, 0.05, NOISE)
-    found = jacobian(lambda pose: _misfit(a, b, trees, pose, 0.05, NOISE)[2], at, 1e-7)
+    e, J, off = _misfit(a, b, at, 0.05, NOISE)
+    found = jacobian(lambda pose: _misfit(a, b, pose, 0.05, NOISE)[2], at, 1e-7)
     error = np.abs(J[:, :3] * (off / e)[:, None] - found)
     assert np.quantile(error, 0.98) < 0.012
 
@@ -55,9 +54,8 @@ def test_jacobian_by_an_offset_of_all_ranges():
     at, offset = MOTION + np.array([0.002, -0.003, 0.001]), 2e-4  # points are float32
     a, b = seen(np.zeros(3)), seen(MOTION)
     long_a, long_b = seen(np.zeros(3), offset=offset), seen(MOTION, offset=offset)
-    e, J, off = _misfit(a, b, (cKDTree(a.points), cKDTree(b.points)), at, 0.05, NOISE)
-    trees = cKDTree(long_a.points), cKDTree(long_b.points)
-    moved = _misfit(long_a, long_b, trees, at, 0.05, NOISE)[2]
+    e, J, off = _misfit(a, b, at, 0.05, NOISE)
+    moved = _misfit(long_a, long_b, at, 0.05, NOISE)[2]
     assert len(moved) == len(off)
     error = np.abs(J[:, 3] * (off / e) - (moved - off) / offset)
     assert np.quantile(np.abs(J[:, 3] * (off / e)), 0.9) > 0.05
@@ -145,3 +143,14 @@ def test_path_of_a_simulated_lidar(beam_time):
     error = motions.T_begin_end - between(*true)
     assert len(error) > 5
     np.testing.assert_allclose(error.std(axis=0), 0.0, atol=1e-3)
+
+
+@pytest.mark.parametrize("count", [0, 1, 300])
+@pytest.mark.parametrize("radius", [0.05, 2.0])
+def test_nearest_points_are_those_of_a_tree(count, radius):
+    rng = np.random.default_rng(3)
+    points, others = rng.uniform(-5.0, 5.0, (2, count, 2))
+    others[: count // 3, 0] = points[: count // 3, 0]  # a wall along y
+    _, rows = cKDTree(others).query(points, distance_upper_bound=radius)
+    assert (nearest(points, others, radius) == np.where(rows < count, rows, -1)).all()
+    assert (nearest(points, np.empty((0, 2)), radius) == -1).all()

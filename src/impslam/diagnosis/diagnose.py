@@ -96,7 +96,7 @@ def _first_roots(checks: Sequence[Check], e: Evidence) -> list[Finding]:
 
 
 def _checks(e: Evidence, is_quick: bool) -> Sequence[Check]:
-    """Return the checks of a lidar; the times of its beams take half a second to check.
+    """Return the checks of a lidar; the times of its beams take tenths of a second to check.
 
     A config that states the duration of a sweep was made for the driver that recorded the log. Many logs
     have no such times; only lidars that see all around measure for so long that this does harm.

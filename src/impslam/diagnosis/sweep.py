@@ -22,6 +22,7 @@ from impslam.diagnosis.evidence import FULL_VIEW, Evidence
 from impslam.diagnosis.finding import Finding, is_off, probability_off
 from impslam.diagnosis.mount import YAW_TOLERANCE
 from impslam.diagnosis.stamps import check_stamps
+from impslam.diagnosis.sweep_time import sweep_time
 from impslam.sensors.lidar2d import Lidar2D
 from impslam.types import Array, Ints, Mask
 
@@ -118,8 +119,6 @@ def _estimate(e: Evidence) -> tuple[float, float] | None:
     pairs = turning_pairs(e.path, e.recording.scans, period)
     if len(pairs) < MIN_PAIRS:
         return None
-    from impslam.diagnosis.sweep_time import sweep_time  # noqa: PLC0415  0.2 s, only after turns
-
     free = {"deskew": True, "last_beam_first": False, "sweep_time": math.nan}
     own = Lidar2D(**{**unmounted(e.lidar).model_dump(), **free})
     return sweep_time(own, e.recording.scans, e.path, pairs, e.sweep_time, period)

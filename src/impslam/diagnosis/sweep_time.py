@@ -15,10 +15,16 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from impslam.calibration.lidar_path import LidarPath, deskewed
-from impslam.calibration.scan_pairs import MIN_FACING, MIN_POINTS, Surface, align, sweep_surface
+from impslam.calibration.scan_pairs import (
+    MIN_FACING,
+    MIN_POINTS,
+    Surface,
+    align,
+    nearest,
+    sweep_surface,
+)
 from impslam.columns import Columns, Scans
 from impslam.diagnosis.robust import fit
 from impslam.geometry.se2 import between, rotation, transform
@@ -111,11 +117,11 @@ def _step(a: Swept, b: Swept, guess: Array, lidar: Lidar2D) -> tuple[float, floa
         return None
     turn = rotation(float(found.T_a_b[2])).T  # of rows
     points = transform(found.T_a_b, b.surface.points)
-    apart, nearest = cKDTree(a.surface.points).query(points, distance_upper_bound=NEAR)
-    i = np.flatnonzero(np.isfinite(apart))
-    facing = ((b.surface.normals[i] @ turn) * a.surface.normals[nearest[i]]).sum(axis=1)
+    partners = nearest(points, a.surface.points, NEAR)
+    i = np.flatnonzero(partners >= 0)
+    facing = ((b.surface.normals[i] @ turn) * a.surface.normals[partners[i]]).sum(axis=1)
     i = i[facing > MIN_FACING]
-    j = nearest[i]
+    j = partners[i]
     if len(i) < MIN_POINTS:
         return None
     n, arm = a.surface.normals[j], points[i] - found.T_a_b[:2]

@@ -6,6 +6,7 @@ from tests.estimators.drives import LAP, RING, begun, driven, keyframe, keyframe
 
 from impslam.estimators.loop_closing import (
     CONFIRMATION_DISTANCE,
+    MAX_REACH,
     SAFE_WINDOW,
     LoopCloser,
     LoopSearch,
@@ -23,15 +24,18 @@ NARROW, WIDE = 0.5 * SAFE_WINDOW, 2.0 * SAFE_WINDOW
 SPACING = 2.5  # m between nodes
 
 
-def lap(n=20):
-    """Return a graph of a ring of n nodes and half a second round, drifting by 1 mm from node to node."""
+def lap(n=20, spread=1.0):
+    """Return a graph of a ring of n nodes and half a second round, drifting by 1 mm from node to node.
+
+    `spread` scales the standard deviations of the motions.
+    """
     turn = 2.0 * np.pi / n
     step = np.array([SPACING, 0.0, turn])
     graph = PoseGraph()
     graph.add_root(np.zeros(3), 1e-8 * np.eye(3))
     for _ in range(n + n // 2):
         drift = np.array([0.001, 0.001, 0.0])
-        graph.extend(step + drift, np.diag([1e-4, 1e-4, 1e-5]), SPACING)
+        graph.extend(step + drift, spread**2 * np.diag([1e-4, 1e-4, 1e-5]), SPACING)
     return graph
 
 
@@ -48,9 +52,9 @@ def found(graph, j, verdict=ClosureStrength.STRONG, off=(0.0, 0.0, 0.0), support
     return PendingClosure(j - n, j, closure, SPACING * j)
 
 
-def taken(window, *rows):
+def taken(window, *rows, spread=1.0):
     """Take closures one after the other; return the graph, the closer, and what each was told."""
-    graph, closer = lap(), LoopCloser(LoopSearch())
+    graph, closer = lap(spread=spread), LoopCloser(LoopSearch())
     told = [closer._accept(found(graph, *row), graph, window) for row in rows]
     return graph, closer, told
 
@@ -113,6 +117,19 @@ def test_the_smaller_the_common_area_the_more_closures_have_to_agree(matched, se
     assert graph.closures == 0
     closer._accept(found(graph, *rows[-1]), graph, WIDE)
     assert graph.closures == count
+
+
+@pytest.mark.parametrize(
+    ("third", "count"),
+    [(ClosureStrength.STRONG, 3), (ClosureStrength.WEAK, 3), (None, 0)],
+)
+def test_more_closures_have_to_agree_if_the_node_may_be_outside_the_window(third, count):
+    """The true place may be outside, and one that looks alike inside."""
+    rows = [(20,), (21,)] + ([(22, third)] if third is not None else [])
+    graph, closer, _ = taken(WIDE, *rows, spread=20.0)
+    assert lap(spread=20.0).reach(21)[1] > MAX_REACH * WIDE > lap().reach(21)[1]
+    assert graph.closures == count
+    assert bool(closer._pending) == (count == 0)
 
 
 @pytest.mark.parametrize(

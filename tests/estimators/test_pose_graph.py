@@ -149,6 +149,37 @@ def test_covariances_after_a_solution_are_the_marginals_and_the_start():
     assert (np.linalg.eigvalsh(graph.covariances) > 0.0).all()
 
 
+def test_the_reach_is_three_sigma_of_the_motions_between_two_nodes(rng):
+    truth = grid_walk(9, rng)
+    graph = grown(truth)
+    motions = between(truth[:-1], truth[1:])
+    noise = rng.multivariate_normal(np.zeros(3), Q, (4000, len(motions)))
+    drawn = np.repeat(truth[7][None], 4000, 0)
+    assert graph.reach(7)[7] == 0.0
+    for k in range(6, -1, -1):  # back from node 7, which is fixed
+        drawn = compose(drawn, inverse(motions[k] + noise[:, k]))
+        sigma = math.sqrt(np.linalg.eigvalsh(np.cov(drawn[:, :2].T))[-1])
+        assert graph.reach(7)[k] == pytest.approx(3.0 * sigma, rel=0.08), k
+
+
+def test_a_closure_reduces_the_reach(rng):
+    truth = grid_walk(9, rng)
+    graph = grown(truth)
+    before = graph.reach(8)[0]
+    closed(graph, truth, 0, 8)
+    assert graph.reach(8)[0] < 0.5 * before
+
+
+def test_the_reach_of_another_session_is_infinite(rng):
+    truth = grid_walk(6, rng)
+    graph = grown(truth)
+    graph.add_root(truth[0], np.eye(3))
+    graph.extend(between(truth[0], truth[1]), Q, 2.5)
+    assert np.isinf(graph.reach(7)[:6]).all()
+    assert np.isfinite(graph.reach(7)[6:]).all()
+    assert np.isinf(graph.reach(2)[6:]).all()
+
+
 def test_a_false_closure_gives_way_to_true_ones():
     """Between nodes that two true closures hold, one that is metres off is outside its kernel."""
     truth = square()

@@ -257,6 +257,18 @@ class PoseGraph:
         self.poses = compose(solution.poses[self.hosts], self._T_host_node)
         self.covariances = covariances
 
+    def reach(self, node: int) -> Array:
+        """Return how far (n,) m each node may be from where the graph has it relative to one: 3 sigma.
+
+        It is infinite for nodes that no edges connect to that one. Raises as `solve` does.
+        """
+        apart = self.roots != self.roots[node]
+        fixed = apart | self.is_folded
+        fixed[self.hosts[node]] = True
+        covariances = marginals(self.poses, self.edges, np.flatnonzero(fixed))[self.hosts]
+        variances = np.linalg.eigvalsh(covariances[:, :2, :2])[:, -1]
+        return np.where(apart, math.inf, 3.0 * np.sqrt(np.maximum(variances, 0.0)))
+
     def path_lengths(self, node: int) -> Array:
         """Return the length (n,) m of the shortest path from a node to each, along the edges."""
         i, j, *_, length = (column.array for column in self._edges)

@@ -1,5 +1,7 @@
 """Odometry that falls silent while scans go on: the robot may have gone on."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from tests.extractors.scans import cast, room
@@ -76,3 +78,18 @@ def test_missing_odometry_is_reported_once_with_its_begin_and_end(begin, end, sp
     assert unmeasured[begin + 4 : end + 30].all()  # differences for 3 s after it are due to it
     assert not unmeasured[:begin].any()
     assert not unmeasured[end + 31 :].any()
+
+
+@pytest.mark.parametrize("silent_at_the_end", [False, True])
+def test_a_lidar_whose_sweeps_end_with_those_of_another_one_has_odometry(silent_at_the_end):
+    """All motion belongs to the sweeps of the first lidar: none is left for those of the second one."""
+    screening, problems, pose = Screening(), Problems(), np.array([SPEED * PERIOD, 0.0, 0.0])
+    for k in range(60):
+        stamp, seconds = k * PERIOD, 0.0 if silent_at_the_end and k > 40 else PERIOD
+        front = Increment(stamp, pose * (seconds > 0.0), np.zeros((3, 3)), seconds)
+        rear = Increment(stamp, np.zeros(3), np.zeros((3, 3)), 0.0)
+        for sensor, motion in (("front", front), ("rear", rear)):
+            sweeps = replace(sweeps_of([SCAN], [stamp]), sensor=sensor)
+            part = screening.screen(motions_of([motion]), sweeps, problems)
+    assert part.unmeasured.all() == silent_at_the_end
+    assert problems.counts.get("odometry missing", 0) == silent_at_the_end

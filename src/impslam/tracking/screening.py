@@ -67,7 +67,8 @@ class Screening:
 
     def __init__(self) -> None:
         self._lidars = PerLidar(_no_scans)
-        self._gaps: dict[str, tuple[Array, Array]] = {}  # see `_find_gaps`, for each sensor
+        self._intervals: dict[str, Array] = {}  # see `_find_gaps`, for each sensor
+        self._silence = _NO_SILENCE.copy()  # of odometry, for all sensors together
         self._is_first_silence = False  # whether the first silence of odometry goes on
 
     def screen(self, motions: Motions, sweeps: Sweeps, problems: Problems) -> Screened:
@@ -76,9 +77,9 @@ class Screening:
         reasons, amounts = np.zeros(m, np.int8), np.zeros(m)
         if sweeps.scans is not None:
             sweeps = self._screen_lidar(motions, sweeps, reasons, amounts, problems)
-        before = self._gaps.setdefault(sweeps.sensor, (no_intervals(), _NO_SILENCE.copy()))
-        silence = float(before[1][1])
-        gaps, silences, unmeasured = _find_gaps(motions, *before)
+        intervals = self._intervals.setdefault(sweeps.sensor, no_intervals())
+        silence = float(self._silence[1])
+        gaps, silences, unmeasured = _find_gaps(motions, intervals, self._silence)
         self._report(sweeps.columns.stamps, np.append(silence, silences), problems)
         skipped = gaps > 0.0
         reasons[skipped], amounts[skipped] = SKIPPED, gaps[skipped]

@@ -284,6 +284,24 @@ def test_a_straight_drive_does_not_show_where_the_laser_is(rng) -> None:
     assert math.sqrt(turning.covariance[1, 1]) < 0.02
 
 
+def test_a_drive_along_arcs_of_one_radius_shows_neither_scales_nor_the_driving_direction(
+    rng,
+) -> None:
+    """Distance and turn are proportional: only errors of the matches tell one from the other."""
+    truth = np.tile([0.4, 0.0, 0.4], (40, 1))
+    motions = truth + rng.standard_normal((40, 3)) * [0.002, 0.002, 0.001]
+    axis = drive_axis(motions)
+    assert math.sqrt(axis.covariance[0, 0]) > 1.0
+    agreed = fit_agreement(motions[:, [0, 2]], truth)
+    assert abs(agreed.distance.p[0] - 1.0) < 3.0 * agreed.distance.sigma[0]
+    assert abs(agreed.turn.p[1] - 1.0) < 3.0 * agreed.turn.sigma[1]
+    straight = np.tile([0.4, 0.0, 0.0], (40, 1))
+    both, truth = np.concatenate((motions, straight)), np.concatenate((truth, straight))
+    assert math.sqrt(drive_axis(both).covariance[0, 0]) < 0.01
+    agreed = fit_agreement(both[:, [0, 2]], truth)
+    assert max(agreed.distance.sigma[0], agreed.turn.sigma[1]) < 0.01
+
+
 def test_scans_in_a_round_room_do_not_determine_the_turn(rng) -> None:
     """From the middle of a square room as large, and near its wall, they do."""
 

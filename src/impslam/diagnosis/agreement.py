@@ -12,8 +12,8 @@ odometry):
 
     n . [u, v] = x T,    n a unit vector, x the distance of the laser ahead of the axle.
 
-T has errors too. If the robot hardly turns, it is little else, and so is every factor on it: they are
-allowed for in the standard deviations of b, d and x.
+F and T have errors too. If the robot hardly turns, T is little else, and so is every factor on it. If all
+stretches are arcs of one radius, F - r T is little else. The standard deviations allow for both.
 """
 
 from __future__ import annotations
@@ -31,6 +31,8 @@ MIN_STRETCHES = 12
 """Stretches that a fit needs: twice the rows that its robust scale can be wrong about."""
 MIN_SCALE = 0.02
 """Share of the laser's motion below which the sign of odometry's is chance: it creeps while it stands."""
+MATCH_DISTANCE_ERROR = 0.004
+"""m: error of a match, a hundredth of a stretch."""
 REACH = 10.0
 """m: how far a lidar sees in a large room. A match that is off by an angle may be off sideways by that
 times the angle, which looks like a laser so far from the axle."""
@@ -72,6 +74,8 @@ def drive_axis(motions: Array) -> Axis:
     forward = np.array([normal[1], -normal[0]])
     covariance = sandwich(np.column_stack((-distance @ forward, -turn)), residuals, scale)
     covariance[1, 1] += (REACH * _noise_share(turn, weights)) ** 2
+    along = _attenuation(np.column_stack((distance @ forward, turn)), weights)[:, 0]
+    covariance += np.outer(along, along)
     return Axis(
         math.atan2(forward[1], forward[0]),
         float(normal @ lever),
@@ -117,15 +121,26 @@ class Agreement(NamedTuple):
 def fit_agreement(axle: Array, odometry: Array) -> Agreement:
     """Fit odometry's motions (k, 3) to the laser's motions of the axle (k, 2), m and rad."""
     distance, turn = fit(axle, odometry[:, 0]), fit(axle, odometry[:, 2])
-    share = _noise_share(axle[:, 1], np.ones(len(axle)))
-    distance.covariance[1, 1] += (REACH * share) ** 2
-    turn.covariance[1, 1] += (max(abs(turn.p[1]), 1.0) * share) ** 2
+    weights = np.ones(len(axle))
+    by_distance, by_turn = _attenuation(axle, weights).T
+    distance.covariance[1, 1] += (REACH * _noise_share(axle[:, 1], weights)) ** 2
+    distance.covariance[:] += max(abs(distance.p[0]), 1.0) ** 2 * np.outer(by_distance, by_distance)
+    turn.covariance[:] += max(abs(turn.p[1]), 1.0) ** 2 * np.outer(by_turn, by_turn)
     return Agreement(distance, turn)
 
 
-def _noise_share(turns: Array, weights: Array) -> float:
-    """Return the share of errors in the squares of matched turns (k,).
+def _attenuation(motions: Array, weights: Array) -> Array:
+    """Return how far errors of matched motions (k, 2), m and rad, move the factors on them, (2, 2).
 
-    A factor on the turns is attenuated by it (errors in variables; Fuller 1987).
+    Column j is the change of both factors if the true ones are 1 on column j of the motions and 0 on the
+    other one (errors in variables; Fuller 1987): the first factor falls, the second one takes its part.
     """
+    squares = (motions * weights[:, None]).T @ motions + 1e-12 * np.eye(2)
+    errors = float(weights.sum()) * np.square([MATCH_DISTANCE_ERROR, MATCH_ERROR])
+    moved: Array = -np.linalg.inv(squares) * errors
+    return moved
+
+
+def _noise_share(turns: Array, weights: Array) -> float:
+    """Return the share of errors in the squares of matched turns (k,)."""
     return MATCH_ERROR**2 * float(weights.sum()) / (float((weights * turns) @ turns) + 1e-12)

@@ -41,9 +41,10 @@ def heading(outcome: Outcome, history: History) -> str:
     if not math.isfinite(speed):  # the duration of the log is unknown
         rate = (f"{per_scan:.2f} ms", f"per scan{once}")
     lost = sum(item.count for item in outcome.dropped.values())
+    problems = {0: "no problems", 1: "1 problem or note"}.get(lost, f"{lost:,} problems and notes")
     seconds = outcome.log_seconds
     facts = {
-        "Scans": (f"{scans:,}", f"{lost:,} problems and notes" if lost else "no problems"),
+        "Scans": (f"{scans:,}", problems),
         "Duration": (duration(seconds), f"{scans / seconds:.1f} scans/s" if seconds > 0 else ""),
         "Path": (f"{length(known, history.path, before):.1f} m", "estimated"),
         "Landmarks": (str(len(landmarks)), found),

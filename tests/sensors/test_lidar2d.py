@@ -242,6 +242,7 @@ def test_an_observation_has_the_time_of_its_beams(last_beam_first, way):
     ("limits", "told"),
     [
         ({"range_max": -3.0}, "at least 0"),
+        ({"range_max": 0.0}, "above 0"),
         ({"range_min": -0.1}, "at least 0"),
         ({"range_min": 2.0, "range_max": 1.0}, "above range_min, 2"),
         ({"sweep_time": -0.1}, "at least 0"),

@@ -93,6 +93,8 @@ class Lidar2D(Sensor):
     def _is_not_negative(cls, value: float, info: ValidationInfo) -> float:
         if value < 0.0:
             raise ValueError("must be at least 0")
+        if info.field_name == "range_max" and value == 0.0:
+            raise ValueError("must be above 0; nan: the limit in the messages")
         if info.field_name == "range_max" and value <= info.data.get("range_min", math.nan):
             raise ValueError(f"must be above range_min, {info.data['range_min']:g}")
         return value

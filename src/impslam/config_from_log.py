@@ -16,6 +16,7 @@ MAX_TILT = math.radians(5.0)
 """rad: beyond it, ranges to walls are more than 0.4 % too long, and beams from a height of 0.2 m hit the
 floor within 2.3 m."""
 MIN_REPORTED_TILT = math.radians(0.5)
+UNKNOWN = Mount(None, origin="not in the log")
 
 
 def fitted(config: Config, source: Source, *, odometry_is_free: bool) -> Config:
@@ -115,18 +116,10 @@ def _by_config(config: Config, robot: Robot) -> str:
     """Describe the streams of a log that does not describe its robot: all is from the config."""
     sensors = [
         f"{sensor.name} {name}"
-        + (f" ({_describe_config_mount(name, config)})" if sensor.consumes is LaserScan else "")
+        + (f" ({_describe_mount(name, UNKNOWN, config)})" if sensor.consumes is LaserScan else "")
         for name, sensor in robot.sensors.items()
     ]
     return "; ".join([*sensors, f"odometry {robot.odometry.name}"])
-
-
-def _describe_config_mount(name: str, config: Config) -> str:
-    table = config.sensors[name]
-    if "mount" not in table and "upside_down" not in table:
-        return f"mount unknown, assumed to be at base_link; set sensors.{name}.mount"
-    own = Mount(tuple(table.get("mount", (0.0, 0.0, 0.0))), table.get("upside_down", False))
-    return f"mount {_describe_pose(own)} from the config"
 
 
 def _lasers(robot: Robot, source: Source) -> Iterator[tuple[str, str, Mount]]:
@@ -135,7 +128,7 @@ def _lasers(robot: Robot, source: Source) -> Iterator[tuple[str, str, Mount]]:
     for name, sensor in robot.sensors.items():
         stream = sensor.stream or source.defaults().get(LaserScan, "")
         if sensor.consumes is LaserScan and stream:
-            yield name, stream, mounts.get(stream, Mount(None, origin="not in the log"))
+            yield name, stream, mounts.get(stream, UNKNOWN)
 
 
 def _antenna(robot: Robot, source: Source) -> Mount:
@@ -143,7 +136,7 @@ def _antenna(robot: Robot, source: Source) -> Mount:
     for sensor in robot.sensors.values():
         if sensor.consumes is SatelliteFix:
             stream = sensor.stream or source.defaults().get(SatelliteFix, "")
-            return source.antennas().get(stream, Mount(None, origin="not in the log"))
+            return source.antennas().get(stream, UNKNOWN)
     return Mount(None)
 
 

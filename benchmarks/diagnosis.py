@@ -158,6 +158,10 @@ def of_scans() -> Iterator[Fault]:
         change = partial(faults.scaled_ranges, x)
         yield Fault("range scale", f"{x - 1:+.0%}", ("range scale", "odometry scale"), change)
 
+    for m in (-0.1, 0.05, 0.1, 0.2):
+        name, change = "range offset", partial(faults.longer_ranges, m)
+        yield Fault(name, f"{m:+g} m", (name,), change)
+
 
 def of_stamps() -> Iterator[Fault]:
     """Yield faults of clocks."""

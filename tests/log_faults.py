@@ -50,6 +50,16 @@ def scaled_ranges(scale: float) -> Change:
     return of(LaserScan, lambda c: with_values(c, ranges=scale * c["ranges"]))
 
 
+def longer_ranges(by: float) -> Change:
+    """Return a change of all ranges but those of beams that return nothing."""
+
+    def change(c: Columns) -> Columns:
+        ranges = c["ranges"]
+        return with_values(c, ranges=np.where(ranges > 0.0, np.maximum(ranges + by, 0.0), ranges))
+
+    return of(LaserScan, change)
+
+
 def millimetres(limit: float) -> Change:
     """Give ranges in mm, with a limit in the messages."""
     return of(

@@ -92,6 +92,8 @@ CASES = {
     "ranges 10 % short": (faults.scaled_ranges(0.9), (), "range scale"),
     # at 10 %, with the slip in turns, a wrong wheel radius explains the motion as well
     "ranges 20 % long": (faults.scaled_ranges(1.2), (), "range scale"),
+    "ranges 5 cm long": (faults.longer_ranges(0.05), (), "range offset"),
+    "ranges 20 cm short": (faults.longer_ranges(-0.2), (), "range offset"),
     "ranges in mm": (faults.millimetres(5600.0), (), "ranges in mm"),
     "late": (faults.late(0.2), (), "stamps late"),
     "sweep reversed": (faults.reversed_sweep(), (), "sweep reversed"),

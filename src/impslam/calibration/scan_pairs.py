@@ -103,9 +103,14 @@ class PairAlignment(NamedTuple):
     share: float
 
 
-def match_pairs(lidar: Lidar2D, scans: Sequence[Columns], path: LidarPath) -> LidarMotions:
-    """Return the motions along a path between pairs of scans, each pair matched independently."""
-    begins, ends = pairs(path)
+def match_pairs(
+    lidar: Lidar2D, scans: Sequence[Columns], path: LidarPath, most: int = MAX_PAIRS
+) -> LidarMotions:
+    """Return the motions along a path between pairs of scans, each pair matched independently.
+
+    If there are more than `most` pairs, they are thinned evenly.
+    """
+    begins, ends = pairs(path, most)
     rows = np.concatenate((begins, ends))
     features = dict(
         zip(np.sort(rows).tolist(), _features(lidar, scans, path, np.sort(rows)), strict=True)
@@ -124,7 +129,7 @@ def match_pairs(lidar: Lidar2D, scans: Sequence[Columns], path: LidarPath) -> Li
 _NONE = [np.empty((0, *shape)) for shape in ((3,), (4,), (4, 4), (), ())]
 
 
-def pairs(path: LidarPath) -> tuple[Ints, Ints]:
+def pairs(path: LidarPath, most: int = MAX_PAIRS) -> tuple[Ints, Ints]:
     """Return the rows (m,) of a path at which motions begin and end; each row is used at most once.
 
     A pair ends one row after its motion is long enough. If it ended at that row, it would end as soon as
@@ -142,7 +147,7 @@ def pairs(path: LidarPath) -> tuple[Ints, Ints]:
                 begins.append(a)
                 ends.append(b)
                 a = b + 1
-    some = np.unique(np.linspace(0, len(begins) - 1, min(len(begins), MAX_PAIRS)).astype(np.int64))
+    some = np.unique(np.linspace(0, len(begins) - 1, min(len(begins), most)).astype(np.int64))
     return np.array(begins, np.int64)[some], np.array(ends, np.int64)[some]
 
 

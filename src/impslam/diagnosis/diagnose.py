@@ -17,6 +17,7 @@ from impslam.diagnosis.mount import check_mount
 from impslam.diagnosis.no_return import check_noise, check_value
 from impslam.diagnosis.odometry import check_odometry
 from impslam.diagnosis.presets import check_preset
+from impslam.diagnosis.range_offset import check_range_offset
 from impslam.diagnosis.scales import check_scales
 from impslam.diagnosis.stamps import check_clocks, check_stamps
 from impslam.diagnosis.sweep import check_overlap, check_times
@@ -36,7 +37,7 @@ FIRST_SCANS = 600
 MIN_SCANS = 50
 """Fewer scans do not contain enough motion, and matching them takes longer than such a run."""
 
-LIDAR_ROOTS = (check_range_unit, check_noise, check_overlap, check_clocks)
+LIDAR_ROOTS = (check_range_unit, check_noise, check_overlap, check_range_offset, check_clocks)
 ODOMETRY_ROOTS = (check_wrap, check_pose_units, check_preset)
 """The faults of a lidar, and of odometry, that these find would cause findings of the other checks."""
 CHECKS = (
@@ -55,7 +56,7 @@ def diagnose(
     """Return the differences between the data of a log and its config, harmful ones first.
 
     `defaults` are the streams to read if the config names none; see `Source.defaults`. Each lidar is
-    compared with odometry; a quick diagnosis leaves out the slowest check where it is hardly needed.
+    compared with odometry; a quick diagnosis leaves out the slowest checks where they are hardly needed.
     """
     names = list(lidars_of(config.make_robot()))
     if len(names) > 1:
@@ -75,8 +76,9 @@ def diagnose(
 def _check_all(every: Sequence[Evidence], is_quick: bool) -> list[Finding]:
     """Return the findings about each lidar, and those about odometry by one of them."""
     findings, sound = list[Finding](), list[Evidence]()
+    checks = [check for check in LIDAR_ROOTS if not (is_quick and check is check_range_offset)]
     for e in every:
-        roots = _first_roots(LIDAR_ROOTS, e)
+        roots = _first_roots(checks, e)
         findings += roots
         sound += [] if roots else [e]
     if not sound:

@@ -1,0 +1,66 @@
+"""Check for an error that all ranges share, as of a lidar whose zero is not at its axis.
+
+Seen from two places, a surface is hit by beams of different directions, which such an error moves
+differently. The scans fit each other best without it; see `calibration.scan_pairs`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from impslam.calibration.least_squares import SHAPE_SIGMA
+from impslam.calibration.scan_pairs import PAIR_DISTANCE, match_pairs
+from impslam.diagnosis.evidence import Evidence
+from impslam.diagnosis.finding import Finding, is_off, probability_off
+from impslam.diagnosis.robust import fit
+from impslam.sensors.lidar2d import Lidar2D
+
+MAX_PAIRS, MIN_PAIRS = 100, 12
+"""Pairs that are compared, which determine the offset to some mm in rooms, in tenths of a second of
+computing; and the least number, twice the rows that the robust scale can be wrong about."""
+MIN_DISTANCE = 0.5 * PAIR_DISTANCE
+"""m between the scans of a pair; from closer places, surfaces are hit in almost the same directions."""
+TOLERANCE = 3.0
+"""Tolerated error, in standard deviations of the bias that the config states."""
+MAX_ITERATIONS = 4
+"""Matches with the offset found so far: if it is large, one match finds three quarters of it."""
+
+
+def check_range_offset(e: Evidence) -> Iterator[Finding]:
+    """Find an offset of the ranges beyond the bias that the config states."""
+    lidar, allowed = e.lidar, TOLERANCE * e.lidar.bias
+    for _ in range(MAX_ITERATIONS):
+        found = _estimate(lidar, e)
+        if found is None:
+            return
+        change, sigma = found
+        offset = lidar.range_offset + change - e.lidar.range_offset
+        if not is_off(offset, sigma, allowed):
+            return
+        lidar = lidar.model_copy(update={"range_offset": lidar.range_offset + change})
+        if abs(change) < sigma:
+            break
+    size = "long" if offset < 0.0 else "short"
+    yield Finding(
+        "range offset",
+        f"ranges are {abs(offset):.3f} ± {sigma:.3f} m too {size}: so scans from different places fit each "
+        "other best",
+        (f"{e.lidar_key}.range_offset={lidar.range_offset:.3f}",),
+        probability_off(offset, sigma, allowed),
+        lidar=e.name,
+    )
+
+
+def _estimate(lidar: Lidar2D, e: Evidence) -> tuple[float, float] | None:
+    """Return what to add to the lidar's offset, and its standard deviation, m; None if nothing shows it."""
+    motions = match_pairs(lidar, e.recording.scans, e.path, MAX_PAIRS)
+    far = np.flatnonzero(np.hypot(*motions.joint[:, :2].T) >= MIN_DISTANCE)
+    if len(far) < MIN_PAIRS:
+        return None
+    variances = np.linalg.pinv(motions.information[far], hermitian=True)[:, 3, 3]
+    weights = 1.0 / np.sqrt(np.maximum(variances, 1e-12))
+    found = fit(weights[:, None], weights * motions.joint[far, 3])
+    return float(found.p[0]), math.hypot(float(found.sigma[0]), SHAPE_SIGMA)

@@ -4,7 +4,7 @@ Drift grows with distance, so closures are only searched between nodes with a lo
 in a window of the size of the possible drift. A wide window contains more similar places, and a false
 closure is far worse than a missed one: a closure from a wide window is accepted only when others, found
 within the next metres, are consistent with it (Mangelson et al. 2018). More of them are required if the
-window is small compared with the uncertainty of the node.
+node may be outside of any window.
 """
 
 from __future__ import annotations
@@ -37,11 +37,10 @@ SAFE_WINDOW = 0.8  # m: so small a window contains only one place
 MIN_EVIDENCE = 2.5
 """Evidence of closures that agree: a strong and another one, three weak ones, or two that together have
 1.25 times the common area of a strong one."""
-MAX_REACH, MIN_DISTANT_EVIDENCE = 2.0, 4.5
-"""If the node may be off by more than so many windows, at 3 sigma, the true place may be outside the
-window, and one that looks alike inside. The evidence required is then that of three strong closures, or of
-two and a weak one. In 3 of 10 simulated drives through a convention centre, with a lidar of 4 m range,
-two strong closures were 11 m off."""
+MIN_DISTANT_EVIDENCE = 4.5
+"""The same if the node may be off by more than the widest window, at 3 sigma: the true place may then be
+outside, and one that looks alike inside. Three strong closures are needed, or two and a weak one. In 3 of
+10 simulated drives through a convention centre, with a lidar of 4 m range, two were 11 m off."""
 CONFIRMATION_DISTANCE = 12.0  # m driven within which a second closure has to agree
 MAX_KNOWN_WINDOW = 3.0  # m: a node whose window is no wider should be where the graph has it
 MIN_CONTRADICTED = 0.1
@@ -279,12 +278,20 @@ class LoopCloser:
             if p.closure.has_position == new.closure.has_position and agree(p, new, graph)
         ]
         evidence = sum(p.evidence for p in (*agreeing, new))
-        if not agreeing or evidence < _min_evidence(new, graph, window):
+        if not agreeing or evidence < self._min_evidence(new, graph):
             self._pending.append(new)
             return False
         self._pending = []
         added = [add(p, graph) for p in (*agreeing, new)]
         return any(added)
+
+    def _min_evidence(self, new: PendingClosure, graph: PoseGraph) -> float:
+        """Return the evidence required of a closure and those that agree with it."""
+        try:
+            reach = float(graph.reach(new.j)[new.i])
+        except NumericalError:
+            reach = math.inf
+        return MIN_EVIDENCE if reach <= self._search.max_window else MIN_DISTANT_EVIDENCE
 
 
 def _submap(
@@ -294,15 +301,6 @@ def _submap(
     seen = [k for k, row in enumerate(rows) if keys.views[row] is not None]
     views = [view for row in rows if (view := keys.views[row]) is not None]
     return gather(views, poses[seen], frame, *extent) if views else None
-
-
-def _min_evidence(new: PendingClosure, graph: PoseGraph, window: float) -> float:
-    """Return the evidence required of a closure, found in a window of so many m, and those that agree."""
-    try:
-        reach = float(graph.reach(new.j)[new.i])
-    except NumericalError:
-        reach = math.inf
-    return MIN_EVIDENCE if reach <= MAX_REACH * window else MIN_DISTANT_EVIDENCE
 
 
 def agree(one: PendingClosure, other: PendingClosure, graph: PoseGraph) -> bool:

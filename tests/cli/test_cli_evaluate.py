@@ -286,3 +286,11 @@ def test_without_truth_a_map_is_compared_with_itself(imp, tmp_path) -> None:
     numbers = json.loads((tmp_path / "numbers.json").read_text())["runs"][str(run)]
     assert 0.002 < numbers["quality"]["disagreement_m"] < 0.02
     assert numbers["path"] is None
+
+
+def test_runs_without_truth_beside_others_are_named(imp, tmp_path) -> None:
+    known, unknown = folder(tmp_path / "known"), folder(tmp_path / "unknown", truth=False)
+    made(keyframes(RING, way(*LAP))).save(unknown / "map.imp")
+    said = imp("evaluate", known, unknown)
+    assert said.code == 0
+    assert said.err == "imp: warning: no ground truth, so no errors of the path: unknown\n"

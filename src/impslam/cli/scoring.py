@@ -151,6 +151,8 @@ def _show(scores: Mapping[str, Scores], references: References) -> None:
     paths, kinds, relations = _by_kind(scores)
     if paths:
         show_paths(paths, options.align, options.delta)
+        if others := [name for name in scores if name not in paths]:
+            log.warning("no ground truth, so no errors of the path: %s", ", ".join(others))
     if kinds:
         show_landmarks(kinds, options.gate, _alignment_note(bool(paths), options.align))
     if relations:

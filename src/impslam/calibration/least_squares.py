@@ -21,6 +21,7 @@ from impslam.calibration.noise import (
     unit_covariances,
 )
 from impslam.calibration.residuals import LIDAR_PARAMETERS, CalibrationDrive, residuals
+from impslam.calibration.scan_pairs import SHAPE_SIGMA
 from impslam.types import Array, Mask
 
 MAX_ROUNDS, STEPS = 8, 4
@@ -33,9 +34,6 @@ GATE = 13.3
 """Chi-square of 4 degrees of freedom that one motion in 100 exceeds."""
 TAIL_SHARE, TAIL_CHI2 = 0.9, 7.8
 """A share of the motions, and the quantile of that chi-square at it."""
-SHAPE_SIGMA = 0.0015
-"""m: systematic error of a range offset due to corners and to correlated errors of points and normals: 0.1
-to 0.4 mm in simulations, 2 mm with another simulator's lidar. It does not average out over drives."""
 MAX_TAIL = 1.5
 """Ratio up to which heavier tails may be due to few motions; beyond it, variances grow with them."""
 MEDIAN_CHI2 = 3.36

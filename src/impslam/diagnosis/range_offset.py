@@ -11,8 +11,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from impslam.calibration.least_squares import SHAPE_SIGMA
-from impslam.calibration.scan_pairs import PAIR_DISTANCE, match_pairs
+from impslam.calibration.scan_pairs import PAIR_DISTANCE, SHAPE_SIGMA, match_pairs
 from impslam.diagnosis.evidence import Evidence
 from impslam.diagnosis.finding import Finding, is_off, probability_off
 from impslam.diagnosis.robust import fit

@@ -103,7 +103,8 @@ def _rows(odometer: Odometer, before: Array, after: Array) -> Array:
     half = 0.5 * RATE_INTERVAL
     times = before, after, before - half, before + half, after - half, after + half
     sums = odometer.at(np.concatenate(times)).reshape(len(times), -1, 3)
-    motion, (before_turn, after_turn) = sums[1] - sums[0], (sums[3::2] - sums[2::2])[..., 2]
-    return np.column_stack(
-        (after_turn / RATE_INTERVAL - before_turn / RATE_INTERVAL, motion[:, 2], motion[:, 0])
-    )
+    begin, end, begin_low, begin_high, end_low, end_high = sums
+    motion = end - begin
+    begin_rate = (begin_high - begin_low)[:, 2] / RATE_INTERVAL
+    end_rate = (end_high - end_low)[:, 2] / RATE_INTERVAL
+    return np.column_stack((end_rate - begin_rate, motion[:, 2], motion[:, 0]))

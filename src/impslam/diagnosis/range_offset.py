@@ -36,10 +36,10 @@ def check_range_offset(e: Evidence) -> Iterator[Finding]:
         if found is None:
             return
         change, sigma = found
-        offset = lidar.range_offset + change - e.lidar.range_offset
+        lidar = lidar.model_copy(update={"range_offset": lidar.range_offset + change})
+        offset = lidar.range_offset - e.lidar.range_offset
         if not is_off(offset, sigma, allowed):
             return
-        lidar = lidar.model_copy(update={"range_offset": lidar.range_offset + change})
         if abs(change) < sigma:
             break
     size = "long" if offset < 0.0 else "short"

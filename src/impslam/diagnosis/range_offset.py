@@ -1,7 +1,7 @@
 """Check for an error that all ranges share, as of a lidar whose zero is not at its axis.
 
-Seen from two places, a surface is hit by beams of different directions, which such an error moves
-differently. The scans fit each other best without it; see `calibration.scan_pairs`.
+Beams that hit a surface from two places have different directions, so such an error moves their end points
+differently. The scans fit each other best once it is corrected; see `calibration.scan_pairs`.
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ def check_range_offset(e: Evidence) -> Iterator[Finding]:
     size = "long" if offset < 0.0 else "short"
     yield Finding(
         "range offset",
-        f"ranges are {abs(offset):.3f} ± {sigma:.3f} m too {size}: so scans from different places fit each "
-        "other best",
+        f"ranges are {abs(offset):.3f} ± {sigma:.3f} m too {size}: with this correction, scans from "
+        "different places fit each other best",
         (f"{e.lidar_key}.range_offset={lidar.range_offset:.3f}",),
         probability_off(offset, sigma, allowed),
         lidar=e.name,

@@ -4,7 +4,7 @@ Drift grows with distance, so closures are only searched between nodes with a lo
 in a window of the size of the possible drift. A wide window contains more similar places, and a false
 closure is far worse than a missed one: a closure from a wide window is accepted only when others, found
 within the next metres, are consistent with it (Mangelson et al. 2018). More of them are required if the
-node may be outside of any window.
+pose is so uncertain that the true place may be outside of the widest window.
 """
 
 from __future__ import annotations

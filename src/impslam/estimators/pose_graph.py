@@ -258,9 +258,9 @@ class PoseGraph:
         self.covariances = covariances
 
     def reach(self, node: int) -> Array:
-        """Return how far (n,) m each node may be from where the graph has it relative to one: 3 sigma.
+        """Return the uncertainty (n,) m of each node's position relative to one node, 3 sigma.
 
-        It is infinite for nodes that no edges connect to that one. Raises as `solve` does.
+        It is infinite for nodes that no edges connect to that node. Raises as `solve` does.
         """
         apart = self.roots != self.roots[node]
         fixed = apart | self.is_folded

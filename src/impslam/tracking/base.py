@@ -15,6 +15,7 @@ from pydantic import PrivateAttr
 
 from impslam.columns import Motions, Sweeps
 from impslam.component import Component, parameter
+from impslam.geometry.algebra import rotate_covariance
 from impslam.geometry.chain import advance, advance_pose
 from impslam.geometry.kernels import kernel
 from impslam.health import CARRIED, ELSEWHERE, OPPOSED, SLIPPED, STALLED, UNMEASURED, Reasons
@@ -81,7 +82,10 @@ class Steps(NamedTuple):
 
     Attributes
     ----------
-    d_pose, covariance : (m, 3), (m, 3, 3) motion since the newest reference before each
+    d_pose, covariance : (m, 3), (m, 3, 3) motion since the newest reference before each; the covariances
+        of successive motions add up
+    error : (m, 3, 3) covariance of the match itself, which replaces that of the reference before and does
+        not add up, in the axes of that reference; of references only
     moved : (m, 3) motion since the sweep before each
     reference : (m,) whether the next motions start from this sweep: it was matched, or has too few
         points to match
@@ -94,6 +98,7 @@ class Steps(NamedTuple):
 
     d_pose: Array
     covariance: Array
+    error: Array
     moved: Array
     reference: Mask
     is_keyframe: Mask
@@ -101,6 +106,20 @@ class Steps(NamedTuple):
     reasons: Reasons
     amounts: Array
     reach: Array
+
+
+class _Since(NamedTuple):
+    """The motion from the newest keyframe to the newest reference.
+
+    Attributes
+    ----------
+    pose : (3,)
+    drift, error : (3, 3) covariance of the errors that add up, and of the newest match
+    """
+
+    pose: Array
+    drift: Array
+    error: Array
 
 
 class _Tracked(NamedTuple):
@@ -121,7 +140,7 @@ class Tracker(Component):
 
     _limits: Array = PrivateAttr()
     _motion_since_keyframe: tuple[Array, Array] = PrivateAttr()
-    _reference: tuple[Array, Array] = PrivateAttr()
+    _since: _Since = PrivateAttr()
     _odometry: Array = PrivateAttr()
     _systematic: Sequence[SystematicErrors | None] = PrivateAttr(())
     _systematic_before: SystematicErrors | None = PrivateAttr(None)
@@ -138,7 +157,7 @@ class Tracker(Component):
         self._limits = np.array([gate.distance, gate.angle, gate.seconds])
         self._travelled = {}
         self._motion_since_keyframe = np.zeros(3), np.zeros((3, 3))
-        self._reference = np.zeros(3), np.zeros((3, 3))
+        self._since = _nothing_since()
         self._odometry = np.array(start, dtype=np.float64)
         self._duration, self._keyframes = 0.0, 0
 
@@ -225,13 +244,12 @@ class Tracker(Component):
         """
         motions, steps, sweeps, odometry = tracked
         stop = rows.stop + 1 if has_keyframe else rows.stop
+        part = slice(rows.start, stop)
         T, spread, T_stamp, spread_stamp = _accumulate(
-            *self._reference,
-            steps.d_pose[rows.start : stop],
-            steps.covariance[rows.start : stop],
-            steps.reference[rows.start : stop],
-            sweeps.T_middle_stamp[rows.start : stop],
-            sweeps.stamp_covariance[rows.start : stop],
+            self._since,
+            Steps._make(column[part] for column in steps),
+            sweeps.T_middle_stamp[part],
+            sweeps.stamp_covariance[part],
         )
         elapsed = self._duration + np.cumsum(motions.duration[rows])
         for k, systematic in enumerate(self._systematic[rows]):
@@ -243,7 +261,7 @@ class Tracker(Component):
         if has_keyframe:
             keyframe = self._keyframe(tracked, rows.stop, T[m], spread[m])
             self._motion_since_keyframe, self._duration = (np.zeros(3), np.zeros((3, 3))), 0.0
-            self._reference = np.zeros(3), np.zeros((3, 3))
+            self._since = _nothing_since()
         elif m:
             self._motion_since_keyframe = T[m - 1], spread[m - 1]
         track = Track(
@@ -339,6 +357,10 @@ def mark_keyframes(moved: Array, duration: Array, due: Mask, gate: Gate) -> Mask
     return out
 
 
+def _nothing_since() -> _Since:
+    return _Since(np.zeros(3), np.zeros((3, 3)), np.zeros((3, 3)))
+
+
 @kernel
 def _dead_reckon(start: Array, d_pose: Array, T_middle_stamp: Array) -> tuple[Array, Array]:
     """Return the poses (m, 3) of odometry at the middles of m sweeps, and at their stamps."""
@@ -353,26 +375,23 @@ def _dead_reckon(start: Array, d_pose: Array, T_middle_stamp: Array) -> tuple[Ar
 
 @kernel
 def _accumulate(
-    T: Array,
-    spread: Array,
-    d_pose: Array,
-    covariance: Array,
-    reference: Mask,
-    T_middle_stamp: Array,
-    stamp_covariance: Array,
+    since: _Since, steps: Steps, T_middle_stamp: Array, stamp_covariance: Array
 ) -> tuple[Array, Array, Array, Array]:
     """Return m poses and covariances at the middles of sweeps, and at the stamps.
 
-    Each motion follows the newest reference before it; (T, spread) is the first, and becomes the last.
+    Each motion follows the newest reference before it; `since` is the motion to the first of these, and
+    becomes that to the last.
     """
-    m = len(d_pose)
+    m = len(steps.d_pose)
     poses, spreads = np.empty((m, 3)), np.empty((m, 3, 3))
     at_stamp, spreads_at_stamp = np.empty((m, 3)), np.empty((m, 3, 3))
     for k in range(m):
-        poses[k], spreads[k] = T, spread
-        advance(poses[k], spreads[k], d_pose[k], covariance[k])
-        if reference[k]:
-            T[:], spread[:] = poses[k], spreads[k]
+        if steps.reference[k]:
+            since.error[:] = rotate_covariance(steps.error[k], since.pose[2])
+            advance(since.pose, since.drift, steps.d_pose[k], steps.covariance[k])
+        poses[k], spreads[k] = since.pose, since.drift + since.error
+        if not steps.reference[k]:
+            advance(poses[k], spreads[k], steps.d_pose[k], steps.covariance[k])
         at_stamp[k], spreads_at_stamp[k] = poses[k], spreads[k]
         advance(at_stamp[k], spreads_at_stamp[k], T_middle_stamp[k], stamp_covariance[k])
     return poses, spreads, at_stamp, spreads_at_stamp

@@ -55,7 +55,9 @@ def fuse(
             posterior[a, b] = -d[a] * A[a, b] * d[b]
         posterior[a, a] += d[a] + W[a]
     if invert(posterior):
-        covariance[:] = posterior
+        gain = posterior * W
+        state.error[:] = gain @ state.error @ gain.T + posterior
+        covariance[:] = 0.0
         step = posterior @ step
         state.pose[0] += step[0]
         state.pose[1] += step[1]
@@ -63,8 +65,8 @@ def fuse(
 
 
 @kernel
-def coast(state: State, located: bool, weakest: float, axis: float, covariance: Array) -> None:
-    """Widen the covariance (3, 3) of a motion at constant velocity along the axis of least information.
+def coast(state: State, located: bool, weakest: float, axis: float) -> None:
+    """Widen the error of a match after motion at constant velocity along the axis of least information.
 
     The velocity may be off by `SPEED_SIGMA` while no scan determines it, and the position by that times the
     elapsed time. A scan of information `weakest` along the axis shortens the time by its Kalman gain.
@@ -75,4 +77,4 @@ def coast(state: State, located: bool, weakest: float, axis: float, covariance: 
     if not located:
         state.faults.unlocated[0] = max(state.faults.unlocated[0], SPEED_SIGMA * state.unlocated[0])
     variance = 2.0 * SPEED_SIGMA**2 * state.unlocated[0] * seconds
-    add_along(covariance, axis, variance)
+    add_along(state.error, axis, variance)

@@ -67,6 +67,8 @@ class State(NamedTuple):
     submaps, odometry : the last metres, and the learned bias and noise of odometry
     pose, matched : (3,) in the frame of the submaps: now, and at the newest match
     motion, covariance : (3,), (3, 3) by odometry since the newest match
+    error : (3, 3) covariance of `matched` in the submaps, as far as it differs from that of the newest
+        keyframe; without `drift`
     travelled : (3,) m, rad and s of that motion
     stamp : (1,) s, middle of the newest sweep; NaN before the first
     interval : (2,) s from the sweep before it, by odometry and by the stamps; NaN before the second
@@ -93,6 +95,7 @@ class State(NamedTuple):
     matched: Array
     motion: Array
     covariance: Array
+    error: Array
     travelled: Array
     stamp: Array
     interval: Array

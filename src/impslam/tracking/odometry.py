@@ -44,6 +44,6 @@ class OdometryTracker(Tracker):
         reasons[confirmed] = CARRIED
         keyframes = mark_keyframes(checked.d_pose, motions.duration, reasons == CARRIED, gate)
         return Steps(
-            checked.d_pose, checked.covariance, checked.d_pose, np.ones(m, np.bool_), keyframes,
-            np.zeros(m, np.bool_), reasons, amounts, np.zeros((m, 2)),
+            checked.d_pose, checked.covariance, np.zeros((m, 3, 3)), checked.d_pose,
+            np.ones(m, np.bool_), keyframes, np.zeros(m, np.bool_), reasons, amounts, np.zeros((m, 2)),
         )  # fmt: skip

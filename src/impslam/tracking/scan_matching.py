@@ -97,6 +97,7 @@ def follow(
         out.is_keyframe[k] = out.reference[k] and (at_limit or out.reasons[k] == ELSEWHERE)
         if out.is_keyframe[k]:
             gate.travelled[:] = 0.0
+            state.error[:] = 0.0
 
 
 @kernel
@@ -111,6 +112,7 @@ def _use_scan(
 ) -> None:
     """Match sweep k if it has enough points, and begin the next motion at its pose."""
     features = np.empty((beams.points.shape[1], 5), np.float32)
+    advance(state.matched.copy(), state.error, state.motion, np.zeros((3, 3)))
     if no_odometry and not state.frozen.is_frozen[0] and len(beams.after):
         _deskew(k, motions.duration[k], beams, state, settings, features)
     count = _find_features(beams, k, no_odometry, settings, features)
@@ -126,6 +128,7 @@ def _use_scan(
         moved_on = notice_frozen(k, motions.duration[k], state, settings, out)
         if out.reasons[k] != UNEXPLAINED:
             _add_to_submaps(features[:count], k, beams, state, settings, moved_on)
+    out.error[k] = rotate_covariance(state.error, -state.matched[2])
     out.reference[k] = True
     set_reference_pose(state)
     state.matched[:] = state.pose
@@ -289,7 +292,7 @@ def _move(
     between(state.matched, state.pose, state.velocity)
     far = match.W[0] * state.prior[0] < 0.1  # beyond three times the range of full weight
     if no_odometry:
-        coast(state, out.located[k], weakest, axis, covariance)
+        coast(state, out.located[k], weakest, axis)
     odometry_motion = state.velocity if no_odometry else state.motion
     if state.frozen.is_frozen[0]:
         odometry_motion = np.zeros(3)

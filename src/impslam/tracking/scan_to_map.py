@@ -81,6 +81,7 @@ class ScanToMap(Tracker):
             matched=np.zeros(3),
             motion=np.zeros(3),
             covariance=np.zeros((3, 3)),
+            error=np.zeros((3, 3)),
             travelled=np.zeros(3),
             stamp=np.full(1, np.nan),
             interval=np.full(2, np.nan),
@@ -122,7 +123,8 @@ class ScanToMap(Tracker):
         m = len(sweeps)
         reference, ends, located = np.zeros((3, m), np.bool_)
         out = Steps(
-            np.empty((m, 3)), np.empty((m, 3, 3)), np.empty((m, 3)), reference, ends, located,
+            np.empty((m, 3)), np.empty((m, 3, 3)), np.zeros((m, 3, 3)), np.empty((m, 3)), reference,
+            ends, located,
             np.zeros(m, np.int8), np.zeros(m), np.zeros((m, 2)),
         )  # fmt: skip
         state = self._state._replace(lidar=lidar)

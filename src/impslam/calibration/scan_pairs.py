@@ -20,9 +20,10 @@ from typing import NamedTuple
 import numpy as np
 
 from impslam.calibration.lidar_path import LidarPath, deskewed
+from impslam.calibration.pair_kernels import find_misfit, find_nearest
 from impslam.columns import Columns, Scans
-from impslam.geometry.kernels import kernel, plain
-from impslam.geometry.se2 import between, rotation
+from impslam.geometry.kernels import plain
+from impslam.geometry.se2 import between
 from impslam.sensors.lidar2d import Lidar2D
 from impslam.surfaces.features import Features, beam_spacing, find_features
 from impslam.types import Array, Ints
@@ -35,14 +36,10 @@ MAX_PAIRS = 1500
 """Pairs of a log; if there are more, they are thinned evenly. More would reduce only the random errors."""
 START_RADIUS, END_RADIUS, END_SIGMAS = 0.3, 0.05, 3.0
 """m between paired points, at first and in the end; and standard deviations of e in the end."""
-MIN_FACING = 0.9
-"""Cosine between the normals of a pair of points."""
 SMOOTH_NEIGHBOURS, SMOOTH_RADIUS, SMOOTH_FACING = 4, 0.25, 0.95
 """Neighbours on either side, their distance in m, and cosine between normals, for smoothing."""
 MIN_POINTS, MIN_SHARE = 30, 0.5
 """Points that match, and their share of the smaller scan: below, the scans show different places."""
-ROUGHNESS = 0.005
-"""m: unevenness of surfaces (skirting, frames, fabric), which matters for grazing beams."""
 MIN_CHI2 = 1e-4
 """Lower bound of chi-square per point: ranges are at most 100 times as exact as configured."""
 SHAPE_SIGMA = 0.0015
@@ -88,12 +85,14 @@ class Surface(NamedTuple):
     """n points of a scan, smoothed along the surface, and their normals, both (n, 2).
 
     Without smoothing, nearest-neighbour pairs favour points with similar errors, and the second-order
-    effect of noise makes ranges look too short. `shared` is the mean number of points with a common error.
+    effect of noise makes ranges look too short. `shared` is the mean number of points with a common error,
+    and `by_x` (n,) are the rows of the points in the order of x.
     """
 
     points: Array
     normals: Array
     shared: float
+    by_x: Ints
 
 
 class PairAlignment(NamedTuple):
@@ -187,7 +186,8 @@ def surface(features: Features) -> Surface:
             total[this] += same * 0.5 * _dot(normals[this] + normals[other], offset)
             count[this] += same
     smooth = points + (total / count)[:, None] * normals
-    return Surface(smooth, normals, float(count.mean()) if len(count) else 1.0)
+    shared = float(count.mean()) if len(count) else 1.0
+    return Surface(smooth, normals, shared, np.argsort(smooth[:, 0]))
 
 
 def align(a: Surface, b: Surface, guess: Array, noise: tuple[float, float]) -> PairAlignment | None:
@@ -232,63 +232,18 @@ def _misfit(
     The derivatives (k, 4) of the normalised distances are by x, y and yaw of the pose, and by an offset of
     all ranges. The last result is the distances in m.
     """
-    turn = rotation(float(pose[2])).T  # of rows
-    i, j = _paired(a, b, pose, radius)
-    m = b.normals[i] @ turn
-    facing = _dot(m, a.normals[j]) > MIN_FACING
-    i, j, m = i[facing], j[facing], m[facing]
-    r, p, n = b.points[i] @ turn, a.points[j], m + a.normals[j]
-    n /= np.hypot(n[:, 0], n[:, 1])[:, None]
-    far_b, far_a = np.hypot(r[:, 0], r[:, 1]), np.hypot(p[:, 0], p[:, 1])
-    along_b, along_a = _dot(n, r) / far_b, _dot(n, p) / far_a
-    of_b, of_a = ((noise[0] + noise[1] * far) for far in (far_b, far_a))
-    sigma = np.hypot(np.hypot(of_b * along_b, of_a * along_a), ROUGHNESS)
-    off = _dot(n, r + pose[:2] - p)
-    J = np.column_stack((n, n[:, 1] * r[:, 0] - n[:, 0] * r[:, 1], along_b - along_a))
-    return off / sigma, J / sigma[:, None], off
-
-
-def _paired(a: Surface, b: Surface, pose: Array, radius: float) -> tuple[Ints, Ints]:
-    """Return the rows (k,) of b and of a that are paired: nearest neighbours in both directions.
-
-    Points are denser close to the lidar, so a nearest neighbour is more often a closer point measured too
-    long; pairing in one direction alone would bias ranges by some sigma^2 / r.
-    """
-    turn = rotation(float(pose[2]))
-    j = nearest(b.points @ turn.T + pose[:2], a.points, radius)
-    i = nearest((a.points - pose[:2]) @ turn, b.points, radius)
-    there, back = np.flatnonzero(j >= 0), np.flatnonzero(i >= 0)
-    return np.concatenate((there, i[back])), np.concatenate((j[there], back))
+    out = np.empty((len(a.points) + len(b.points), 6))
+    of_a, of_b = ((plain(s.points), plain(s.normals), s.points[s.by_x], s.by_x) for s in (a, b))
+    out = out[: find_misfit(of_a, of_b, plain(pose), radius, noise, out)]
+    return out[:, 0], out[:, 1:5], out[:, 5]
 
 
 def nearest(points: Array, others: Array, radius: float) -> Ints:
     """Return for each point (k, 2) the row of the nearest of others (m, 2) within `radius` m, else -1."""
     order, found = np.argsort(others[:, 0]), np.empty(len(points), np.int64)
-    _find_nearest(plain(points), plain(others[order]), radius, found)
+    find_nearest(plain(points), plain(others[order]), radius, found)
     found[found >= 0] = order[found[found >= 0]]
     return found
-
-
-@kernel
-def _find_nearest(points: Array, others: Array, radius: float, found: Ints) -> None:
-    """Fill `found` (k,) with rows of others, which are sorted by x; importing k-d trees takes 0.2 s."""
-    m = len(others)
-    for i in range(len(points)):
-        x, y, least = points[i, 0], points[i, 1], radius * radius
-        found[i], low, high = -1, 0, m
-        while low < high:
-            middle = (low + high) // 2
-            if others[middle, 0] < x:
-                low = middle + 1
-            else:
-                high = middle
-        for step in (-1, 1):
-            j = low if step > 0 else low - 1
-            while 0 <= j < m and (others[j, 0] - x) ** 2 < least:
-                square = (others[j, 0] - x) ** 2 + (others[j, 1] - y) ** 2
-                if square < least:
-                    least, found[i] = square, j
-                j += step
 
 
 def _dot(one: Array, two: Array) -> Array:

@@ -17,14 +17,8 @@ from typing import NamedTuple
 import numpy as np
 
 from impslam.calibration.lidar_path import LidarPath, deskewed
-from impslam.calibration.scan_pairs import (
-    MIN_FACING,
-    MIN_POINTS,
-    Surface,
-    align,
-    nearest,
-    sweep_surface,
-)
+from impslam.calibration.pair_kernels import MIN_FACING
+from impslam.calibration.scan_pairs import MIN_POINTS, Surface, align, nearest, sweep_surface
 from impslam.columns import Columns, Scans
 from impslam.diagnosis.robust import fit
 from impslam.geometry.se2 import between, rotation, transform

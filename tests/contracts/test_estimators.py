@@ -99,7 +99,7 @@ def test_it_starts_at_the_given_pose(make):
 
 def test_a_revision_has_a_pose_and_a_covariance_for_each_keyframe_and_the_same_bytes_again(make):
     runs = [make(), make()]
-    one, two = (run(made, rng=np.random.default_rng(2))[1] for made in runs)
+    one, two = (run(made, 20, np.random.default_rng(2))[1] for made in runs)
     for k, revision in enumerate(one):
         m = len(revision.ids)
         assert revision.ids.dtype == np.int64

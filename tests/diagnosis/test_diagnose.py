@@ -166,7 +166,7 @@ def test_scan_matching_tolerates_a_lag_of_one_sweep_but_not_of_a_queue(
     assert worst_fault(findings).reason == reason
 
 
-@pytest.mark.parametrize("seconds", [-8.0, -2.5, 1.0, 5.0])
+@pytest.mark.parametrize("seconds", [-8.0, 1.0])
 def test_the_clock_of_another_computer_is_found(drive, seconds) -> None:
     """Nothing synchronises it; it may be off by much more than the delay of any driver."""
     wrong = list(faults.faulty(drive, faults.late(seconds)))
@@ -176,7 +176,7 @@ def test_the_clock_of_another_computer_is_found(drive, seconds) -> None:
     assert found(wrong, MATCHED, *finding.fix) == []
 
 
-@pytest.mark.parametrize("seconds", [-1e9, -500.0, 500.0, 1e9])
+@pytest.mark.parametrize("seconds", [-1e9, 500.0])
 def test_clocks_that_share_no_time_are_aligned_by_the_order_of_the_log(drive, seconds) -> None:
     wrong = list(faults.faulty(drive, faults.late(seconds)))
     (finding,) = found(wrong, MATCHED)

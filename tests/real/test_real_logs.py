@@ -6,7 +6,6 @@ import re
 import numpy as np
 import pytest
 from benchmarks.real_logs import (
-    final_covariance,
     lap_offsets,
     laps,
     lego,
@@ -130,16 +129,6 @@ def test_a_hospital_is_mapped_without_a_parameter(data_folder):
     # The scorer agrees with the published one on the raw odometry.
     assert wheels.translation.mean() == pytest.approx(0.615, rel=0.02)
     assert math.degrees(wheels.rotation.mean()) == pytest.approx(0.64, rel=0.02)
-
-
-@pytest.mark.slow
-def test_the_covariance_is_positive_definite_after_18_minutes(data_folder):
-    P = final_covariance(data_folder / "fr079" / "fr079.log")
-    np.testing.assert_array_equal(P, P.T)
-    # Scaled to correlations: the smallest eigenvalue is then not that of the units.
-    scale = 1.0 / np.sqrt(np.diag(P))
-    assert np.linalg.eigvalsh(P * np.outer(scale, scale))[0] > 0.0
-    np.linalg.cholesky(P)
 
 
 # --------------------------------------------------------------------------- readers

@@ -22,6 +22,7 @@ from impslam.types import Array
 
 STYLE = Path(__file__).with_name("console.css")
 SLOW_PERIOD = 1.0  # s between updates of texts
+RELOAD_DELAY = 2.0  # s from the end of a session until the page reloads
 _feeds: list[Feed] = []
 
 
@@ -108,11 +109,14 @@ class Page:
             self._map.accept_hints(mapping.on and bool(mapping.name))
 
     def _end(self) -> None:
-        """Reload the page, as the session has ended; the guard then requires a login."""
+        """Reload the page, as the session has ended; the guard then requires a login.
+
+        The browser waits for `RELOAD_DELAY`: after a logout, it is on its way to the page for that.
+        """
         if not self._gone:
             self._gone = True
             self._leave()
-            ui.navigate.reload()
+            ui.run_javascript(f"setTimeout(() => location.reload(), {1e3 * RELOAD_DELAY:.0f})")
 
     def _leave(self) -> None:
         if isinstance(self._panels, RobotPanels):

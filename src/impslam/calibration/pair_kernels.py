@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from impslam.geometry.kernels import kernel
 from impslam.types import Array, Ints
@@ -13,40 +14,57 @@ ROUGHNESS = 0.005
 """m: unevenness of surfaces (skirting, frames, fabric), which matters for grazing beams."""
 
 
+class IndexedSurface(NamedTuple):
+    """A surface with its points sorted.
+
+    Attributes
+    ----------
+    points, normals : (n, 2)
+    sorted_points : (n, 2) in the order of x
+    rows : (n,) of these in `points`
+    """
+
+    points: Array
+    normals: Array
+    sorted_points: Array
+    rows: Ints
+
+
 @kernel
 def find_misfit(
-    a: tuple[Array, Array, Array, Ints],
-    b: tuple[Array, Array, Array, Ints],
+    a: IndexedSurface,
+    b: IndexedSurface,
     pose: Array,
     radius: float,
     noise: tuple[float, float],
     out: Array,
 ) -> int:
-    """Fill rows of out (n + m, 6) with the distances of `scan_pairs._misfit`, and return how many.
+    """Fill rows of out (n + m, 6) with the misfit of pairs of points, and return how many.
 
-    A surface is its points and normals (n, 2), its points sorted by x (n, 2), and the rows (n,) of these.
+    A row is the distance of a point of b from the line of one of a, divided by its standard deviation;
+    its derivatives by x, y and yaw of the pose and by an offset of all ranges; and the distance in m.
     Points are paired with their nearest neighbours in both directions: they are denser close to the lidar,
     so a nearest neighbour is more often a closer point measured too long, and pairing in one direction
     alone would bias ranges by some sigma^2 / r.
     """
     c, s, count = math.cos(pose[2]), math.sin(pose[2]), 0
-    for i in range(len(b[0])):
-        x, y = b[0][i, 0], b[0][i, 1]
-        k = _nearest_row(c * x - s * y + pose[0], s * x + c * y + pose[1], a[2], radius)
+    for i in range(len(b.points)):
+        x, y = b.points[i, 0], b.points[i, 1]
+        k = _nearest_row(c * x - s * y + pose[0], s * x + c * y + pose[1], a.sorted_points, radius)
         if k >= 0:
-            count += _fill_row(a, b, (a[3][k], i), (c, s), pose, noise, out[count])
-    for j in range(len(a[0])):
-        x, y = a[0][j, 0] - pose[0], a[0][j, 1] - pose[1]
-        k = _nearest_row(c * x + s * y, c * y - s * x, b[2], radius)
+            count += _fill_row(a, b, (a.rows[k], i), (c, s), pose, noise, out[count])
+    for j in range(len(a.points)):
+        x, y = a.points[j, 0] - pose[0], a.points[j, 1] - pose[1]
+        k = _nearest_row(c * x + s * y, c * y - s * x, b.sorted_points, radius)
         if k >= 0:
-            count += _fill_row(a, b, (j, b[3][k]), (c, s), pose, noise, out[count])
+            count += _fill_row(a, b, (j, b.rows[k]), (c, s), pose, noise, out[count])
     return count
 
 
 @kernel
 def _fill_row(
-    a: tuple[Array, Array, Array, Ints],
-    b: tuple[Array, Array, Array, Ints],
+    a: IndexedSurface,
+    b: IndexedSurface,
     rows: tuple[int, int],
     turn: tuple[float, float],
     pose: Array,
@@ -55,12 +73,12 @@ def _fill_row(
 ) -> int:
     """Fill e, its derivatives and the distance, (6,), of a pair; return 0 if its normals differ, else 1."""
     (j, i), (c, s) = rows, turn
-    mx, my = c * b[1][i, 0] - s * b[1][i, 1], s * b[1][i, 0] + c * b[1][i, 1]
-    if mx * a[1][j, 0] + my * a[1][j, 1] <= MIN_FACING:
+    mx, my = c * b.normals[i, 0] - s * b.normals[i, 1], s * b.normals[i, 0] + c * b.normals[i, 1]
+    if mx * a.normals[j, 0] + my * a.normals[j, 1] <= MIN_FACING:
         return 0
-    rx, ry = c * b[0][i, 0] - s * b[0][i, 1], s * b[0][i, 0] + c * b[0][i, 1]
-    px, py = a[0][j, 0], a[0][j, 1]
-    nx, ny = mx + a[1][j, 0], my + a[1][j, 1]
+    rx, ry = c * b.points[i, 0] - s * b.points[i, 1], s * b.points[i, 0] + c * b.points[i, 1]
+    px, py = a.points[j, 0], a.points[j, 1]
+    nx, ny = mx + a.normals[j, 0], my + a.normals[j, 1]
     length = math.hypot(nx, ny)
     nx, ny = nx / length, ny / length
     far_b, far_a = math.hypot(rx, ry), math.hypot(px, py)

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from impslam.calibration.lidar_path import LidarPath, deskewed
-from impslam.calibration.pair_kernels import find_misfit, find_nearest
+from impslam.calibration.pair_kernels import IndexedSurface, find_misfit, find_nearest
 from impslam.columns import Columns, Scans
 from impslam.geometry.kernels import plain
 from impslam.geometry.se2 import between
@@ -233,7 +233,9 @@ def _misfit(
     all ranges. The last result is the distances in m.
     """
     out = np.empty((len(a.points) + len(b.points), 6))
-    of_a, of_b = ((plain(s.points), plain(s.normals), s.points[s.by_x], s.by_x) for s in (a, b))
+    of_a, of_b = (
+        IndexedSurface(plain(s.points), plain(s.normals), s.points[s.by_x], s.by_x) for s in (a, b)
+    )
     out = out[: find_misfit(of_a, of_b, plain(pose), radius, noise, out)]
     return out[:, 0], out[:, 1:5], out[:, 5]
 

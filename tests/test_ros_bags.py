@@ -51,6 +51,7 @@ def test_without_the_mount_a_bag_is_mapped_wrongly(room, tmp_path):
 
 
 def test_a_second_lidar_is_added_by_what_the_line_says(room, tmp_path):
+    """Over ten seeds of the noise, the worst pose is off by 0.5 to 1.0 cm; a wrong mount costs 10 cm."""
     recipe = BAGS["two lidars"][0]
     entries, truth = drive(room, recipe)
     log = write(tmp_path / "bag", recipe, entries)
@@ -63,7 +64,7 @@ def test_a_second_lidar_is_added_by_what_the_line_says(room, tmp_path):
     )
     both = impslam.run(log, settings=settings)
     assert len(both.path()) == 2 * len(truth)
-    assert worst(both.path()[::2], truth) < 0.01
+    assert worst(both.path()[::2], truth) < 0.015
 
 
 def test_a_folder_of_several_pieces_is_one_log(room, tmp_path):

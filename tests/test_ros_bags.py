@@ -51,7 +51,7 @@ def test_without_the_mount_a_bag_is_mapped_wrongly(room, tmp_path):
 
 
 def test_a_second_lidar_is_added_by_what_the_line_says(room, tmp_path):
-    """Over ten seeds of the noise, the worst pose is off by 0.5 to 1.0 cm; a wrong mount costs 10 cm."""
+    """The error is the mean of three drives, because that of one varies from 0.5 to 1.0 cm."""
     recipe = BAGS["two lidars"][0]
     entries, truth = drive(room, recipe)
     log = write(tmp_path / "bag", recipe, entries)
@@ -62,9 +62,13 @@ def test_a_second_lidar_is_added_by_what_the_line_says(room, tmp_path):
     assert "/rear/scan (mount [-0.150 m, 0.000 m, 180.0 deg]" in choices(
         *open_log(log, None, settings)
     )
-    both = impslam.run(log, settings=settings)
-    assert len(both.path()) == 2 * len(truth)
-    assert worst(both.path()[::2], truth) < 0.015
+    errors = []
+    for seed in range(3):
+        entries, truth = drive(room, recipe, seed)
+        both = impslam.run(write(tmp_path / f"bag{seed}", recipe, entries), settings=settings)
+        assert len(both.path()) == 2 * len(truth)
+        errors.append(worst(both.path()[::2], truth))
+    assert np.mean(errors) < 0.01
 
 
 def test_a_folder_of_several_pieces_is_one_log(room, tmp_path):

@@ -28,7 +28,10 @@ stand still."""
 def fuse(
     state: State, settings: Settings, guess: Array, H: Array, W: Array, covariance: Array
 ) -> None:
-    """Fuse the best match with the prior: update the pose, and set its covariance (3, 3).
+    """Fuse the best match with the prior: update the pose and `state.error`.
+
+    The motion since the last match then adds no error of its own: its `covariance` (3, 3) becomes zero. It
+    stays as it is if there is no solution.
 
     Errors of successive matches are correlated: surfaces look different from different positions, and
     grass, ramps and people move along. So a match is at best as certain as D, the drift of matched motion

@@ -112,6 +112,7 @@ def _use_scan(
 ) -> None:
     """Match sweep k if it has enough points, and begin the next motion at its pose."""
     features = np.empty((beams.points.shape[1], 5), np.float32)
+    # An error of the heading at the last match has moved the position since.
     advance(state.matched.copy(), state.error, state.motion, np.zeros((3, 3)))
     if no_odometry and not state.frozen.is_frozen[0] and len(beams.after):
         _deskew(k, motions.duration[k], beams, state, settings, features)

@@ -51,9 +51,10 @@ def test_buildings_are_as_good_as_their_relations(
     assert np.sqrt(covariances[:, :2, :2].diagonal(0, 1, 2)).max() < 1.0  # none is unknown
 
 
-def test_slips_during_pauses_between_stamps_do_not_bend_the_map(data_folder):
-    """The error was 1.3 m where such a pause counted as a gap, and 0.14 m without."""
-    assert outcome((data_folder, "intel", 8.0, 2)).worst < 0.5
+@pytest.mark.parametrize("seed", [2, 24])
+def test_slips_during_pauses_between_stamps_do_not_bend_the_map(data_folder, seed):
+    """Errors were 1.3 and 0.8 m where such a pause counted as a gap, and 0.14 and 0.18 m without."""
+    assert outcome((data_folder, "intel", 8.0, seed)).worst < 0.5
 
 
 def test_noisy_odometry_does_not_show_that_the_robot_is_stalled(data_folder):

@@ -161,6 +161,9 @@ def of_scans() -> Iterator[Fault]:
     for m in (-0.1, 0.05, 0.1, 0.2):
         name, change = "range offset", partial(faults.longer_ranges, m)
         yield Fault(name, f"{m:+g} m", (name,), change)
+    for share in (-0.1, 0.05, 0.1):
+        name, change = "field of view", partial(faults.wider_field, 1.0 + share)
+        yield Fault(name, f"{share:+.0%}", (name,), change)
 
 
 def of_stamps() -> Iterator[Fault]:

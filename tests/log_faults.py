@@ -46,6 +46,11 @@ def turned(angle: float) -> Change:
     return of(LaserScan, lambda c: with_layout(c, angles=c["angles"] + angle))
 
 
+def wider_field(scale: float) -> Change:
+    """Return a change of all angles between the beams, as of a wrong resolution in a log."""
+    return of(LaserScan, lambda c: with_layout(c, angles=scale * c["angles"]))
+
+
 def scaled_ranges(scale: float) -> Change:
     return of(LaserScan, lambda c: with_values(c, ranges=scale * c["ranges"]))
 
@@ -218,6 +223,16 @@ def parked() -> Change:
 def scaled_odometry(way: float, turn: float) -> Change:
     """Scale ways and turns of the poses of odometry."""
     return _of_motions(lambda twists: twists * [way, way, turn])
+
+
+def rounded(metres: float, radians: float) -> Change:
+    """Round the poses of odometry."""
+
+    def change(c: Columns) -> Columns:
+        steps = np.array([metres, metres, radians])
+        return with_values(c, pose=np.round(c["pose"] / steps) * steps)
+
+    return of(OdometryPose, change)
 
 
 def unsigned() -> Change:

@@ -94,6 +94,8 @@ CASES = {
     "ranges 20 % long": (faults.scaled_ranges(1.2), (), "range scale"),
     "ranges 5 cm long": (faults.longer_ranges(0.05), (), "range offset"),
     "ranges 20 cm short": (faults.longer_ranges(-0.2), (), "range offset"),
+    "field of view 6 % wide": (faults.wider_field(1.06), (), "field of view"),
+    "field of view 10 % narrow": (faults.wider_field(0.9), (), "field of view"),
     "ranges in mm": (faults.millimetres(5600.0), (), "ranges in mm"),
     "late": (faults.late(0.2), (), "stamps late"),
     "sweep reversed": (faults.reversed_sweep(), (), "sweep reversed"),
@@ -251,6 +253,26 @@ def test_units_of_poses(drive, scale, kind, remedy) -> None:
     problems = [one for one in diagnose(load("default"), wrong, {}) if one.harmful]
     assert [one.kind for one in problems] == ([kind] if kind else [])
     assert all(remedy in str(one) for one in problems)
+
+
+def test_rounded_poses_are_no_fault(drive) -> None:
+    def change(c: Columns) -> Columns:
+        return replace(faults.rounded(0.01, 0.01)(replace(c, kind=OdometryPose)), order=c.order)
+
+    rounded = list(faults.faulty(drive, faults.of(TruePose, change)))
+    assert harmful(diagnose(load("default"), rounded, {})) == {}
+
+
+def test_small_turns_rounded_to_zero_are_not_the_rule(rng) -> None:
+    """On straight drives, most changes of a heading in steps of 0.01 rad are 0."""
+    turns = rng.normal(0.0, 0.004, 200)
+    axle = np.column_stack((np.full(200, 0.4), turns))
+    heading = np.round(np.cumsum(turns) / 0.01) * 0.01
+    measured = np.column_stack((axle[:, 0], np.zeros(200), np.diff(heading, prepend=0.0)))
+    assert np.mean(measured[:, 2] == 0.0) > 0.5
+    agreed = fit_agreement(axle, measured, (1e-4, 0.0, 0.01))
+    assert agreed.turn.p[1] == pytest.approx(1.0, abs=3.0 * agreed.turn.sigma[1])
+    assert agreed.turn.sigma[1] < 0.3
 
 
 def test_odometry_at_1_hz_shows_no_lag(drive) -> None:

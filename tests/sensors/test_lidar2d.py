@@ -196,6 +196,14 @@ def test_ranges_are_calibrated_where_they_are_valid():
     np.testing.assert_allclose(scan.ranges, [0.0, 2.0])
 
 
+def test_angles_are_calibrated_before_their_limits():
+    message = LaserScan(0.0, np.array([-1.0, 0.0, 1.0]), np.ones(3), np.zeros(3))
+    scan = observe(Lidar2D(angle_scale=0.9, angle_max=0.95), message)
+    np.testing.assert_allclose(scan.angles, [-0.9, 0.0, 0.9])
+    np.testing.assert_allclose(scan.points[2], [math.cos(0.9), math.sin(0.9)])
+    assert scan.valid.tolist() == [True, True, True]
+
+
 def test_many_sweeps_are_to_the_byte_what_each_is_alone():
     rng = np.random.default_rng(3)
     messages = [sweep(rng.uniform(0.0, 6.0, 40), rate=1e-3, range_max=5.0) for _ in range(9)]

@@ -20,10 +20,15 @@ from typing import NamedTuple
 import numpy as np
 
 from impslam.calibration.lidar_path import LidarPath, deskewed
-from impslam.calibration.pair_kernels import IndexedSurface, find_misfit, find_nearest
+from impslam.calibration.pair_kernels import (
+    MIN_FACING,
+    IndexedSurface,
+    find_misfit,
+    find_nearest,
+)
 from impslam.columns import Columns, Scans
 from impslam.geometry.kernels import plain
-from impslam.geometry.se2 import between
+from impslam.geometry.se2 import between, rotation, transform
 from impslam.sensors.lidar2d import Lidar2D
 from impslam.surfaces.features import Features, beam_spacing, find_features
 from impslam.types import Array, Ints
@@ -238,6 +243,20 @@ def _misfit(
     )
     out = out[: find_misfit(of_a, of_b, plain(pose), radius, noise, out)]
     return out[:, 0], out[:, 1:5], out[:, 5]
+
+
+def facing_partners(
+    a: Surface, b: Surface, T_a_b: Array, radius: float
+) -> tuple[Ints, Ints, Array]:
+    """Return rows (k,) of a and b whose points are nearest and face alike, and those of b in a's frame.
+
+    Each point of b is paired with the nearest one of a within `radius` m.
+    """
+    points, normals = transform(T_a_b, b.points), b.normals @ rotation(float(T_a_b[2])).T
+    partners = nearest(points, a.points, radius)
+    i = np.flatnonzero(partners >= 0)
+    i = i[_dot(normals[i], a.normals[partners[i]]) > MIN_FACING]
+    return partners[i], i, points[i]
 
 
 def nearest(points: Array, others: Array, radius: float) -> Ints:

@@ -19,6 +19,7 @@ stretches are arcs of one radius, F - r T is little else. The standard deviation
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -29,6 +30,10 @@ from impslam.types import Array
 
 MIN_STRETCHES = 12
 """Stretches that a fit needs: twice the rows that its robust scale can be wrong about."""
+ROUNDING = math.sqrt(6.0)
+"""Resolution over the standard deviation of the difference of two rounded values."""
+MIN_SIGMA = 1e-9
+"""m, rad: lower bound of the standard deviation of odometry, for exact readings."""
 MIN_SCALE = 0.02
 """Share of the laser's motion below which the sign of odometry's is chance: it creeps while it stands."""
 MATCH_DISTANCE_ERROR = 0.004
@@ -118,9 +123,18 @@ class Agreement(NamedTuple):
         return min(scales) <= 0.0 and max(map(abs, scales)) < MIN_SCALE
 
 
-def fit_agreement(axle: Array, odometry: Array) -> Agreement:
-    """Fit odometry's motions (k, 3) to the laser's motions of the axle (k, 2), m and rad."""
-    distance, turn = fit(axle, odometry[:, 0]), fit(axle, odometry[:, 2])
+def fit_agreement(
+    axle: Array, odometry: Array, resolution: Sequence[float] | Array = (0.0, 0.0, 0.0)
+) -> Agreement:
+    """Fit odometry's motions (k, 3) to the laser's motions of the axle (k, 2), m and rad.
+
+    `resolution` (3,) is that of odometry: if most turns of a straight drive are rounded to 0, the others
+    are no outliers.
+    """
+    distance, turn = (
+        fit(axle, odometry[:, k], min_sigma=max(float(resolution[k]) / ROUNDING, MIN_SIGMA))
+        for k in (0, 2)
+    )
     weights = np.ones(len(axle))
     by_distance, by_turn = _attenuation(axle, weights).T
     distance.covariance[1, 1] += (REACH * _noise_share(axle[:, 1], weights)) ** 2

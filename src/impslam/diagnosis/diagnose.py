@@ -10,6 +10,7 @@ from impslam.columns import Batch
 from impslam.config import Config
 from impslam.diagnosis.beams import check_beams
 from impslam.diagnosis.evidence import Evidence, confirmed, gather_evidence
+from impslam.diagnosis.field_of_view import check_field_of_view
 from impslam.diagnosis.finding import Finding, worst_fault
 from impslam.diagnosis.handedness import check_handedness
 from impslam.diagnosis.head import Head
@@ -37,7 +38,10 @@ FIRST_SCANS = 600
 MIN_SCANS = 50
 """Fewer scans do not contain enough motion, and matching them takes longer than such a run."""
 
-LIDAR_ROOTS = (check_range_unit, check_noise, check_overlap, check_range_offset, check_clocks)
+LIDAR_ROOTS = (
+    check_range_unit, check_noise, check_overlap, check_field_of_view, check_range_offset, check_clocks,
+)  # fmt: skip
+SLOW = (check_field_of_view, check_range_offset)
 ODOMETRY_ROOTS = (check_wrap, check_pose_units, check_preset)
 """The faults of a lidar, and of odometry, that these find would cause findings of the other checks."""
 CHECKS = (
@@ -76,7 +80,7 @@ def diagnose(
 def _check_all(every: Sequence[Evidence], is_quick: bool) -> list[Finding]:
     """Return the findings about each lidar, and those about odometry by one of them."""
     findings, sound = list[Finding](), list[Evidence]()
-    checks = [check for check in LIDAR_ROOTS if not (is_quick and check is check_range_offset)]
+    checks = [check for check in LIDAR_ROOTS if not (is_quick and check in SLOW)]
     for e in every:
         roots = _first_roots(checks, e)
         findings += roots

@@ -42,6 +42,7 @@ class Evidence:
     sweep_time : s, median duration of the sweeps by their beams' times; negative if the last beam is first
     times : (k, 2) s, begin and end of stretches on the odometry's clock, where both are known
     lidar_motion, odometry_motion : (k, 3) twists over the stretches, of the laser and of base_link
+    resolution : (3,) of odometry, m, m, rad; see `Odometer`
     axis : driving direction, from the laser; None if it cannot be determined
     axle_motion : (k, 2) m, rad: motion of the axle by the laser, in the sense of `axis`
     agreement : fit of odometry to that; None if there is no axis
@@ -63,6 +64,7 @@ class Evidence:
     times: Array
     lidar_motion: Array
     odometry_motion: Array
+    resolution: Array
     axis: Axis | None
     axle_motion: Array
     agreement: Agreement | None
@@ -126,14 +128,15 @@ def gather_evidence(config: Config, name: str, recording: CalibrationRows) -> Ev
     axle_motion, agreement = np.empty((0, 2)), None
     if axis is not None:
         axle_motion = motion_along(lidar_motion, axis.angle)
-        agreement = fit_agreement(axle_motion, odometry_motion)
+        agreement = fit_agreement(axle_motion, odometry_motion, odometer.resolution)
         if agreement.is_reversed:
             axis = axis.flipped()
             axle_motion = motion_along(lidar_motion, axis.angle)
-            agreement = fit_agreement(axle_motion, odometry_motion)
+            agreement = fit_agreement(axle_motion, odometry_motion, odometer.resolution)
     return Evidence(
         config, name, lidar, robot.odometry, recording, path, samples, sweeps, timing,
-        _sweep_time(lidar, recording.scans), times, lidar_motion, odometry_motion, axis, axle_motion,
+        _sweep_time(lidar, recording.scans), times, lidar_motion, odometry_motion, odometer.resolution,
+        axis, axle_motion,
         agreement, _total(odometer), len(lidars) == 1,
     )  # fmt: skip
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 from pydantic import ValidationError
 
-from impslam.diagnosis.agreement import Agreement, fit_agreement
+from impslam.diagnosis.agreement import MIN_SCALE, Agreement, fit_agreement
 from impslam.diagnosis.evidence import Evidence
 from impslam.diagnosis.finding import SIGMAS, Finding, is_off, probability_off
 from impslam.diagnosis.handedness import check_handedness
@@ -37,7 +37,7 @@ def check_scales(e: Evidence) -> Iterator[Finding]:
     agreed = e.agreement
     if any(find_unsigned(e)):
         ahead = e.axle_motion[:, 0] > 0.0
-        agreed = fit_agreement(e.axle_motion[ahead], e.odometry_motion[ahead])
+        agreed = fit_agreement(e.axle_motion[ahead], e.odometry_motion[ahead], e.resolution)
     unequal = list(_unequal(e, agreed))
     yield from unequal
     left = _left_scale(e, agreed) if unequal else 1.0
@@ -97,6 +97,8 @@ def _attribute_error(e: Evidence, agreed: Agreement) -> tuple[str, tuple[str, ..
     """
     distance, turn = agreed.distance, agreed.turn
     a, d = float(distance.p[0]), float(turn.p[1])
+    if min(a, d) < MIN_SCALE:
+        return "odometry scale", (), NO_FIX
     sigma_a, sigma_d = np.fmax((distance.sigma[0], turn.sigma[1]), MIN_SIGMA).tolist()
     misfits = {
         "track": abs(a - 1.0) / sigma_a,

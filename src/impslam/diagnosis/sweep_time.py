@@ -17,11 +17,16 @@ from typing import NamedTuple
 import numpy as np
 
 from impslam.calibration.lidar_path import LidarPath, deskewed
-from impslam.calibration.pair_kernels import MIN_FACING
-from impslam.calibration.scan_pairs import MIN_POINTS, Surface, align, nearest, sweep_surface
+from impslam.calibration.scan_pairs import (
+    MIN_POINTS,
+    Surface,
+    align,
+    facing_partners,
+    sweep_surface,
+)
 from impslam.columns import Columns, Scans
 from impslam.diagnosis.robust import fit
-from impslam.geometry.se2 import between, rotation, transform
+from impslam.geometry.se2 import between, rotation
 from impslam.sensors.lidar2d import Lidar2D
 from impslam.types import Array, Ints
 
@@ -110,18 +115,13 @@ def _step(a: Swept, b: Swept, guess: Array, lidar: Lidar2D) -> tuple[float, floa
     if found is None:
         return None
     turn = rotation(float(found.T_a_b[2])).T  # of rows
-    points = transform(found.T_a_b, b.surface.points)
-    partners = nearest(points, a.surface.points, NEAR)
-    i = np.flatnonzero(partners >= 0)
-    facing = ((b.surface.normals[i] @ turn) * a.surface.normals[partners[i]]).sum(axis=1)
-    i = i[facing > MIN_FACING]
-    j = partners[i]
+    j, i, points = facing_partners(a.surface, b.surface, found.T_a_b, NEAR)
     if len(i) < MIN_POINTS:
         return None
-    n, arm = a.surface.normals[j], points[i] - found.T_a_b[:2]
+    n, arm = a.surface.normals[j], points - found.T_a_b[:2]
     lever = arm[:, 0] * n[:, 1] - arm[:, 1] * n[:, 0]
     J = np.column_stack((n, lever, (n * (b.shift[i] @ turn - a.shift[j])).sum(axis=1)))
-    off = (n * (points[i] - a.surface.points[j])).sum(axis=1)
+    off = (n * (points - a.surface.points[j])).sum(axis=1)
     WJ = J.T / (1.0 + (off / LIKELY) ** 2)
     covariance = np.linalg.pinv(WJ @ J, hermitian=True)
     if covariance[3, 3] <= 0.0:  # the motion during the sweeps does not show

@@ -21,6 +21,9 @@ from impslam.types import Array, Ints, Mask
 
 STRETCH_DISTANCE, STRETCH_TURN = 0.4, 0.4
 """m, rad of a stretch: a hundred times the error of a match."""
+FINEST = 5.0
+"""Per cent of the changes of odometry from row to row that are its resolution: nearly all changes of a
+coarse one are multiples of it; of a fine one, they are smaller than any other error."""
 MAX_GAP = 1.5
 """s between two sweeps of a stretch; the motion between sweeps further apart is uncertain."""
 
@@ -56,6 +59,13 @@ class Odometer(NamedTuple):
     def between(self, times: Array) -> Array:
         """Return the motions (k, 3) between begins and ends, times (k, 2)."""
         return self.at(times[:, 1]) - self.at(times[:, 0])
+
+    @property
+    def resolution(self) -> Array:
+        """(3,) m, m, rad: the smallest changes from row to row; 0 without any."""
+        changes = np.abs(np.diff(self.sums, axis=0)).T
+        found = [column[column > 1e-9] for column in changes]
+        return np.array([np.percentile(c, FINEST) if len(c) else 0.0 for c in found])
 
     def is_whole(self, begins: Array, ends: Array) -> Mask:
         """Return (k,) whether odometry is known from each begin to each end."""

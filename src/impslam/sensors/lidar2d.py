@@ -57,6 +57,9 @@ class Lidar2D(Sensor):
     range_offset: float = parameter(
         0.0, "m", "added to the scaled ranges, from a calibration: true = scale * measured + offset"
     )
+    angle_scale: float = parameter(
+        1.0, "1", "true angle of a beam over that in the messages, from a calibration", gt=0, le=10
+    )
     period: float = parameter(
         0.0,
         "s",
@@ -142,12 +145,12 @@ class Lidar2D(Sensor):
         """Return the scans: validated, calibrated, mounted, de-skewed."""
         sent = plain(columns["angles"])
         after = self._after_middle(plain(self._time_offsets(columns)))
-        angles = -sent if self.upside_down else sent
+        angles = self.angle_scale * (-sent if self.upside_down else sent)
         low, high = self._limits(columns)
         parts = deskew_sweeps(
             plain(columns["ranges"]),
             np.column_stack((angles, after)),
-            self.in_field(sent),
+            self.in_field(self.angle_scale * sent),
             twists if self.deskew else np.zeros_like(twists),
             np.array(self.mount),
             np.array([self.range_scale, self.range_offset, low, high]),

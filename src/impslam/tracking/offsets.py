@@ -3,10 +3,11 @@
 A mount that turned, or a clock that is late, leaves every scan in agreement with the map, so no single scan
 shows it. The motions do: a lidar turned by d reports a sideways motion of -sin(d) per metre ahead, and a
 lidar whose stamps are late reports each turn later than odometry. The turns of odometry are therefore
-compared with those of the scans at several lags. At the lag of the stamps, their correlation is largest,
-and their squared differences are smaller than at small lags. Both are required: interpolation makes
-odometry less noisy between matches, which reduces the differences, and a window that ends in a turn has
-more of it at some lags, which increases the correlation.
+compared with those of the scans at several lags. At the lag of the stamps, their products are largest,
+and what a fitted scale leaves of the turns is smaller than at small lags. Both are required:
+interpolation makes odometry less noisy between matches, which reduces what is left, and a window that
+ends in a turn has more of it at some lags, which increases the products. Without the scale, wheels that
+slip in a turn would be late or early where it begins or ends.
 """
 
 from __future__ import annotations
@@ -30,6 +31,10 @@ TURN_SIGMA = 0.005
 MIN_LAG_EVIDENCE = 50.0
 """Difference of the sums of squares that the correlations make, in variances of a turn between matches: a
 turn at 0.5 rad/s shows 0.3 s with 130."""
+MIN_LEFT_EVIDENCE = 20.0
+"""Least difference of what is left of the squares of the turns."""
+MIN_TURNS = 8.0
+"""Turns that are compared: one lag always fits a few of them well by chance."""
 TURN_MEMORY = 3.0
 """rad of turning over which lags are compared."""
 MAX_INTERVAL = 0.6
@@ -59,9 +64,9 @@ class Offsets(NamedTuple):
     ----------
     history : (3, _CAPACITY) time in s, heading by odometry and by scans at the newest matches: a ring
     ring : (2,) number of matches added, and of those whose lags were compared
-    products, errors : (lags,) sums of the products of turns by scans and by odometry at each lag, and of
-        their squared differences, rad^2
-    turns : (1,) number of the turns
+    products, squares : (lags,) sums of the products of turns by scans and by odometry at each lag, and of
+        the squares of the latter, rad^2
+    turns : (2,) number of the turns by scans, and the sum of their squares, rad^2
     sideways : (3, 3) sums of products of distance ahead and turn by odometry, and sideways difference
         between scans and odometry
     steps : (2,) number of the motions, and their distance in m
@@ -71,7 +76,7 @@ class Offsets(NamedTuple):
     history: Array
     ring: Ints
     products: Array
-    errors: Array
+    squares: Array
     turns: Array
     sideways: Array
     steps: Array
@@ -82,7 +87,7 @@ def initial_offsets() -> Offsets:
     """Return the state before the first match."""
     return Offsets(
         np.zeros((3, _CAPACITY)), np.zeros(2, np.int64), np.zeros(len(LAGS)),
-        np.zeros(len(LAGS)), np.zeros(1), np.zeros((3, 3)), np.zeros(2), np.zeros(2),
+        np.zeros(len(LAGS)), np.zeros(2), np.zeros((3, 3)), np.zeros(2), np.zeros(2),
     )  # fmt: skip
 
 
@@ -143,11 +148,12 @@ def _add_turns(offsets: Offsets, odometry: float, scans: float, duration: float)
         turn = history[2, j] - history[2, i]
         keep = math.exp(-abs(turn) / TURN_MEMORY)
         offsets.turns[0] = keep * offsets.turns[0] + 1.0
+        offsets.turns[1] = keep * offsets.turns[1] + turn**2
         for k in range(len(LAGS)):
             expected = _heading(history, first, ring[0], history[0, j] - LAGS[k])
             expected -= _heading(history, first, ring[0], history[0, i] - LAGS[k])
             offsets.products[k] = keep * offsets.products[k] + turn * expected
-            offsets.errors[k] = keep * offsets.errors[k] + (turn - expected) ** 2
+            offsets.squares[k] = keep * offsets.squares[k] + expected**2
 
 
 @kernel
@@ -169,14 +175,17 @@ def _heading(history: Array, first: int, end: int, time: float) -> float:
 @kernel
 def _lag(offsets: Offsets) -> float:
     """Return the lag of the scans in s; 0 if a lag below `MIN_LAG` is possible."""
-    products, errors = offsets.products, offsets.errors
+    products, left = offsets.products, np.empty(len(LAGS))
     best, tolerated, least = int(np.argmax(products)), -math.inf, math.inf
     for k in range(len(LAGS)):
+        scale = max(products[k], 0.0) / max(offsets.squares[k], 1e-12)
+        left[k] = offsets.turns[1] - scale * products[k]
         if abs(LAGS[k]) < MIN_LAG - 1e-9:
-            tolerated, least = max(tolerated, products[k]), min(least, errors[k])
-    variance = max(errors[best] / max(offsets.turns[0], 1.0), TURN_SIGMA**2)
-    certain = 2.0 * (products[best] - tolerated) > MIN_LAG_EVIDENCE * variance
-    certain = certain and errors.min() < least
+            tolerated, least = max(tolerated, products[k]), min(least, left[k])
+    variance = max(left[best] / max(offsets.turns[0], 1.0), TURN_SIGMA**2)
+    certain = offsets.turns[0] > MIN_TURNS
+    certain = certain and 2.0 * (products[best] - tolerated) > MIN_LAG_EVIDENCE * variance
+    certain = certain and least - left[best] > MIN_LEFT_EVIDENCE * variance
     return LAGS[best] if certain and 0 < best < len(LAGS) - 1 else 0.0
 
 

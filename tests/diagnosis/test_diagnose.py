@@ -158,6 +158,13 @@ def test_worst_fault_gives_reason_and_amount(findings, name) -> None:
     assert fault.amount == pytest.approx(amount, abs=within)
 
 
+def test_turns_of_matched_scans_do_not_depend_on_those_of_odometry(drive) -> None:
+    (finding,) = found(drive, "odometry.track=0.5", MATCHED)
+    assert finding.kind == "track"
+    assert finding.harmful
+    assert finding.fault == NO_FAULT
+
+
 @pytest.mark.parametrize(("seconds", "reason"), [(0.12, NO_FAULT.reason), (0.3, MISTIMED)])
 def test_scan_matching_tolerates_a_lag_of_one_sweep_but_not_of_a_queue(
     drive, seconds, reason

@@ -13,7 +13,7 @@ from impslam.diagnosis.evidence import Evidence
 from impslam.diagnosis.finding import SIGMAS, Finding, is_off, probability_off
 from impslam.diagnosis.handedness import check_handedness
 from impslam.diagnosis.odometry import find_unsigned
-from impslam.health import MISSCALED, LogFault
+from impslam.health import MISSCALED, NO_FAULT, LogFault
 from impslam.noise import MotionNoise
 from impslam.odometry.base import Odometry
 from impslam.odometry.encoders import Encoders
@@ -64,6 +64,9 @@ def _scales(e: Evidence, agreed: Agreement) -> Iterator[Finding]:
     if not _are_possible(e.odometry, fix):
         fix, advice = (), NO_FIX
     factor = MATCHING_FACTOR if e.matches_scans else 1.0
+    by_distance, by_turn = (abs(o) if abs(o) > factor * limit else 0.0 for o, _, limit in tests)
+    # Matched scans measure turns, and distances in the scale of the ranges.
+    amount = by_distance if e.matches_scans else max(by_distance, by_turn)
     yield Finding(
         kind,
         f"odometry reports {a:.3f} ± {max(distance.sigma[0], 1e-3):.3f} times the distance and {d:.3f} ± "
@@ -71,8 +74,8 @@ def _scales(e: Evidence, agreed: Agreement) -> Iterator[Finding]:
         fix,
         HALF if kind == RANGES else max(probability_off(*test) for test in tests),
         advice,
-        any(abs(off) > factor * limit for off, _, limit in tests),
-        LogFault(MISSCALED, max(abs(off) for off, *_ in tests)),
+        by_distance > 0.0 or by_turn > 0.0,
+        LogFault(MISSCALED, amount) if amount else NO_FAULT,
         e.name if kind == RANGES else "",
     )
 

@@ -79,6 +79,20 @@ def test_a_room_behind_a_door_is_no_contradiction(turn, off):
     assert contradicted(APPROACH, placed, (3.1, 0.1, turn)) < 0.5 * MIN_CONTRADICTED
 
 
+@pytest.mark.parametrize(
+    ("seen", "off"),
+    [
+        ((3.05, 0.2, 1.2), (0.0, 0.12)),
+        ((3.1, 0.2, 1.5), (-0.1, 0.1)),
+        ((3.1, 0.1, 1.5), (-0.15, 0.1)),
+    ],
+)
+def test_ends_of_the_wall_beside_a_door_are_no_contradiction(seen, off):
+    """They are 0.3 m from the lidar, so that an error of a decimetre turns them by 20 degrees."""
+    placed = (seen[0] + off[0], seen[1] + off[1], seen[2])
+    assert contradicted(APPROACH, placed, seen) < 0.5 * MIN_CONTRADICTED
+
+
 @pytest.mark.parametrize("elsewhere", [(8, 0, 0), (5, -6, 2), (9, 6, -1.5), (8, 2, 3)])
 def test_a_robot_carried_to_another_place_is_contradicted(elsewhere):
     assert contradicted(APPROACH, APPROACH[-2], elsewhere) > 2 * MIN_CONTRADICTED

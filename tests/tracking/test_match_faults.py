@@ -126,6 +126,14 @@ def test_turns_are_compared_as_well():
     assert results[-1] == STALLED
 
 
+def test_noise_of_turns_by_wheels_is_no_turn():
+    """0.09 rad per root metre: wheels 0.24 m apart, each with noise of 1.5 cm per root metre."""
+    faults, rng = initial_faults(), np.random.default_rng(2)
+    for _ in range(400):
+        odometry = np.array([0.05, 0.0, rng.normal(0.0, 0.09 * np.sqrt(0.05))])
+        assert check_motion(faults, odometry, AHEAD / 2.0, True, False, 0.05)[0] == NONE
+
+
 def test_wheels_that_turn_the_robot_on_the_spot_do_not_stand_still():
     """A lidar 0.2 m off the axis moves as well; odometry does not show this if the mount is unknown."""
     faults, turn = initial_faults(), np.array([0.0, 0.0, 0.4])

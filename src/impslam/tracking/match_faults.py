@@ -83,8 +83,8 @@ class MatchFaults(NamedTuple):
     ----------
     poor : (2,) scans in a row that do not fit, and s since the first of them
     shares : (2,) mean of the inlier share of many scans, and its variance
-    odometry, scans : (3,) m and rad by odometry and by the scans within `WINDOW`, and m forward within
-        `LONG_WINDOW`
+    odometry, scans : (3,) m travelled and rad turned by odometry and by the scans within `WINDOW`, and m
+        forward within `LONG_WINDOW`
     unlocated : (1,) m travelled since a scan last determined the position
     turns : (2,) sums of the products of turns by odometry and by scans, and of their magnitudes, rad^2
     disputed : (1,) m that scans have shown less than odometry since the two disagree
@@ -181,7 +181,7 @@ def check_motion(
     keep = math.exp(-duration / WINDOW)
     for sums, motion in ((faults.odometry, odometry), (faults.scans, scans)):
         sums[0] = keep * sums[0] + math.hypot(motion[0], motion[1])
-        sums[1] = keep * sums[1] + abs(motion[2])
+        sums[1] = keep * sums[1] + motion[2]  # magnitudes would add up noise of the wheels
         sums[2] *= math.exp(-duration / LONG_WINDOW)
     faults.odometry[2] += odometry[0]
     difference = min(max(scans[0] - odometry[0], -MAX_STEP), MAX_STEP)
@@ -242,19 +242,14 @@ def current_fault(faults: MatchFaults, duration: float) -> tuple[int, float]:
 @kernel
 def _motion_fault(faults: MatchFaults, located: bool, far: bool) -> tuple[float, float]:
     """Return the disagreement between the newest match and odometry, and a distance in m."""
-    turns = faults.odometry[1] > MIN_MOTION[1]  # then a lidar that is not at its mount moves, too
+    odometry, scans = np.abs(faults.odometry), np.abs(faults.scans)
+    turns = odometry[1] > MIN_MOTION[1]  # then a lidar that is not at its mount moves, too
     if located:
         for a in range(2):
-            if (
-                faults.odometry[a] > MIN_MOTION[a]
-                and faults.scans[a] < STATIONARY_SHARE * faults.odometry[a]
-            ):
+            if odometry[a] > MIN_MOTION[a] and scans[a] < STATIONARY_SHARE * odometry[a]:
                 return float(STALLED), 0.0
-            if (
-                not turns
-                and faults.scans[a] > MIN_MOTION[a]
-                and faults.odometry[a] < STATIONARY_SHARE * faults.scans[a]
-            ):
+            pushed = scans[a] > MIN_MOTION[a] and odometry[a] < STATIONARY_SHARE * scans[a]
+            if pushed and not turns:
                 return float(PUSHED), 0.0
     ahead, by_scans = faults.odometry[2], faults.scans[2]
     distance = max(abs(ahead), abs(by_scans))

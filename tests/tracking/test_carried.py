@@ -81,6 +81,13 @@ def test_a_person_who_stood_and_is_gone_is_no_new_place(x):
     assert CARRIED not in out.reasons
 
 
+def test_a_leg_beside_the_lidar_that_is_gone_is_no_new_place():
+    """It covers a sixth of the view, but is only two decimetres wide."""
+    leg = room(0.12, 0.22, -0.1, 0.1)[:, ::-1]
+    (out,) = followed(np.zeros((60, 3)), np.zeros((60, 3)), leg)
+    assert not {CHANGED, CARRIED} & set(out.reasons.tolist())
+
+
 def test_a_robot_that_drives_on_is_not_carried():
     (out,) = followed(poses(), poses())
     assert not out.reasons.any()

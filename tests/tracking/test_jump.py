@@ -10,9 +10,16 @@ from tests.tracking.test_contradictions import ANGLES, GEOMETRY, WORLD, scan_at
 
 from impslam.columns import Motions, Scans
 from impslam.geometry.se2 import between
-from impslam.tracking.beams import beam_columns
+from impslam.tracking.beams import Geometry, beam_columns
 from impslam.tracking.contradictions import CLEARANCE, free_ranges
-from impslam.tracking.jump import MAX_INTERVAL, JumpCheck, _is_not_free, _view
+from impslam.tracking.jump import (
+    MAX_INTERVAL,
+    JumpCheck,
+    _is_not_free,
+    _view,
+    find_change,
+    no_past,
+)
 from impslam.tracking.odometry import OdometryTracker
 from impslam.tracking.reference_scan import laser_motion, seen_from
 from impslam.types import Increment
@@ -96,6 +103,19 @@ def test_a_robot_that_drives_is_not_carried():
 def test_a_robot_that_turns_in_the_door_is_not_carried():
     turning = np.array([[2.9, 0.0, 0.05 * k] for k in range(80)])
     assert not shares(turning).any()
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("y", [-0.3, -0.15, 0.0])
+def test_a_robot_that_drives_fast_through_a_door_is_not_carried(y, seed):
+    """In the door, its lidar sees the wall on both sides from the edge, and the next scan from behind."""
+    angles, rng = np.radians(np.arange(-180.0, 180.0)), np.random.default_rng(seed)
+    past, geometry = no_past(360), Geometry(np.zeros(3), -math.pi, math.radians(1.0))
+    for k, pose in enumerate(np.linspace((1.6, y, 0.0), (4.0, y, 0.0), 17)):
+        ranges = cast(WORLD, pose=pose, angles=angles, range_max=3.5).scan.ranges
+        ranges = ranges * (1.0 + 0.01 * rng.standard_normal(360))
+        estimate = pose + rng.normal(0.0, (0.02, 0.02, 0.01))
+        assert find_change(ranges, estimate, 0.2 * k, past, geometry)[0] == 0.0
 
 
 def test_a_robot_that_weaves_is_not_carried():

@@ -18,7 +18,12 @@ from impslam.columns import Motions
 from impslam.geometry.chain import advance_pose
 from impslam.geometry.kernels import kernel
 from impslam.tracking.beams import BeamColumns, Geometry
-from impslam.tracking.contradictions import CLEARANCE, TURN_CLEARANCE, free_ranges
+from impslam.tracking.contradictions import (
+    CLEARANCE,
+    MIN_INCIDENCE,
+    TURN_CLEARANCE,
+    free_ranges,
+)
 from impslam.tracking.per_lidar import PerLidar
 from impslam.tracking.reference_scan import laser_motion, ranges_at_once, seen_from
 from impslam.types import Array, Ints, Mask
@@ -32,6 +37,8 @@ MAX_INTERVAL = 0.5
 """s between the scans that are compared; in a longer time doors and people move."""
 MIN_SHARE, MIN_BEAMS = 0.025, 10
 """Share of the beams, and number, that show a change. In drives past people it is below 0.02."""
+SIDE_BEAMS, MAX_SIDE = 4, 1.0
+"""Beams on either side of a point, and m between their ends, that show the direction of its surface."""
 MAX_SCANS = 64
 """Scans that are kept: those of `STATIC_TIME` up to 60 Hz; of a faster lidar, a shorter time."""
 
@@ -202,6 +209,7 @@ def _changed(
         if (
             k >= 0
             and reach < free[k] - CLEARANCE
+            and _faces(i, ranges, to_beside, geometry)
             and _shows(still, i, ranges[i], to_still, past, geometry)
             and _shows(halfway, i, ranges[i], to_halfway, past, geometry)
         ):
@@ -213,6 +221,30 @@ def _changed(
     if changed < MIN_BEAMS or share <= MIN_SHARE:
         return 0.0, 0.0
     return share, math.hypot(high[0] - low[0], high[1] - low[1])
+
+
+@kernel
+def _faces(i: int, ranges: Array, T_other_laser: Array, geometry: Geometry) -> bool:
+    """Return whether another laser sees the surface at the end of beam i from ahead, not along it.
+
+    The surface is the line through the ends of the beams on either side. An object that is alone has none.
+    """
+    for step in (SIDE_BEAMS, 1):
+        a, b = i - step, i + step
+        if a < 0 or b >= len(ranges) or ranges[a] <= 0.0 or ranges[b] <= 0.0:
+            continue
+        one = _direction(geometry.first + a * geometry.spacing)
+        other = _direction(geometry.first + b * geometry.spacing)
+        x, y = ranges[b] * other[0] - ranges[a] * one[0], ranges[b] * other[1] - ranges[a] * one[1]
+        length = math.hypot(x, y)
+        if length > MAX_SIDE or length == 0.0:
+            continue
+        beam, turn = _direction(geometry.first + i * geometry.spacing), _direction(T_other_laser[2])
+        end = ranges[i] * beam[0], ranges[i] * beam[1]
+        ahead, along = _turned(end, turn), _turned((x, y), turn)
+        u, v = T_other_laser[0] + ahead[0], T_other_laser[1] + ahead[1]
+        return bool(abs(u * along[1] - v * along[0]) > MIN_INCIDENCE * math.hypot(u, v) * length)
+    return True
 
 
 @kernel

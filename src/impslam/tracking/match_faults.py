@@ -83,8 +83,8 @@ class MatchFaults(NamedTuple):
     ----------
     poor : (2,) scans in a row that do not fit, and s since the first of them
     shares : (2,) mean of the inlier share of many scans, and its variance
-    odometry, scans : (3,) m travelled and rad turned by odometry and by the scans within `WINDOW`, and m
-        forward within `LONG_WINDOW`
+    odometry, scans : (4,) by odometry and by the scans: m travelled and rad turned either way within
+        `WINDOW`, m forward within `LONG_WINDOW`, and rad turned to the left within `WINDOW`
     unlocated : (1,) m travelled since a scan last determined the position
     turns : (2,) sums of the products of turns by odometry and by scans, and of their magnitudes, rad^2
     disputed : (1,) m that scans have shown less than odometry since the two disagree
@@ -123,8 +123,8 @@ def initial_faults() -> MatchFaults:
     return MatchFaults(
         np.zeros(2),
         np.array([INITIAL_SHARE[0], INITIAL_SHARE[1] ** 2]),
-        np.zeros(3),
-        np.zeros(3),
+        np.zeros(4),
+        np.zeros(4),
         np.zeros(1),
         np.zeros(2),
         np.zeros(1),
@@ -181,8 +181,9 @@ def check_motion(
     keep = math.exp(-duration / WINDOW)
     for sums, motion in ((faults.odometry, odometry), (faults.scans, scans)):
         sums[0] = keep * sums[0] + math.hypot(motion[0], motion[1])
-        sums[1] = keep * sums[1] + motion[2]  # magnitudes would add up noise of the wheels
+        sums[1] = keep * sums[1] + abs(motion[2])
         sums[2] *= math.exp(-duration / LONG_WINDOW)
+        sums[3] = keep * sums[3] + motion[2]
     faults.odometry[2] += odometry[0]
     difference = min(max(scans[0] - odometry[0], -MAX_STEP), MAX_STEP)
     faults.scans[2] += odometry[0] + difference
@@ -240,17 +241,32 @@ def current_fault(faults: MatchFaults, duration: float) -> tuple[int, float]:
 
 
 @kernel
+def _stands(one: Array, other: Array) -> bool:
+    """Return whether one source of the sums (4,) shows a stationary robot, and the other one does not.
+
+    Turns must differ either way and in sum: noise of wheels adds up in the former alone, and turns to and
+    fro cancel in the latter.
+    """
+    if other[0] > MIN_MOTION[0] and one[0] < STATIONARY_SHARE * other[0]:
+        return True
+    least = min(other[1], abs(other[3]))
+    return bool(
+        least > MIN_MOTION[1]
+        and one[1] < STATIONARY_SHARE * other[1]
+        and abs(one[3]) < STATIONARY_SHARE * abs(other[3])
+    )
+
+
+@kernel
 def _motion_fault(faults: MatchFaults, located: bool, far: bool) -> tuple[float, float]:
     """Return the disagreement between the newest match and odometry, and a distance in m."""
-    odometry, scans = np.abs(faults.odometry), np.abs(faults.scans)
+    odometry, scans = faults.odometry, faults.scans
     turns = odometry[1] > MIN_MOTION[1]  # then a lidar that is not at its mount moves, too
     if located:
-        for a in range(2):
-            if odometry[a] > MIN_MOTION[a] and scans[a] < STATIONARY_SHARE * odometry[a]:
-                return float(STALLED), 0.0
-            pushed = scans[a] > MIN_MOTION[a] and odometry[a] < STATIONARY_SHARE * scans[a]
-            if pushed and not turns:
-                return float(PUSHED), 0.0
+        if _stands(scans, odometry):
+            return float(STALLED), 0.0
+        if not turns and _stands(odometry, scans):
+            return float(PUSHED), 0.0
     ahead, by_scans = faults.odometry[2], faults.scans[2]
     distance = max(abs(ahead), abs(by_scans))
     differs = distance > MIN_DISTANCE and abs(by_scans - ahead) > MAX_DIFFERENCE * distance

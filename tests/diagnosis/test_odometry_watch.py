@@ -1,5 +1,6 @@
 """Detection of wrong odometry lengths, with their size, while the robot drives."""
 
+import math
 import re
 from types import SimpleNamespace
 
@@ -7,7 +8,8 @@ import numpy as np
 import pytest
 
 from impslam.component import build
-from impslam.diagnosis.odometry_watch import OdometryWatch
+from impslam.diagnosis.finding import ERROR_RATE
+from impslam.diagnosis.odometry_watch import OdometryWatch, _needed_sigmas
 from impslam.geometry.se2 import compose
 from impslam.map import Keyframe, Revision
 from impslam.odometry.kernels import wheel_motions
@@ -143,3 +145,9 @@ def test_odometry_without_wheels_has_scales():
     )
     sound = drive(6, measure=lambda moved: moved)
     assert follow(watch({"kind": "odometry_pose"}), *sound) == ""
+
+
+def test_false_reports_of_all_comparisons_are_as_rare_as_of_one_test():
+    rates = [math.erfc(_needed_sigmas(n) / math.sqrt(2.0)) for n in range(1, 2000)]
+    assert sum(rates) == pytest.approx(ERROR_RATE, rel=1e-3)
+    assert rates == sorted(rates, reverse=True)

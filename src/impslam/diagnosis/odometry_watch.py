@@ -19,6 +19,7 @@ import numpy as np
 
 from impslam.calibration.odometry_models import is_calibrated
 from impslam.diagnosis.agreement import Agreement, fit_agreement
+from impslam.diagnosis.finding import ERROR_RATE
 from impslam.geometry.se2 import between, compose, log
 from impslam.health import SLIPPED
 from impslam.map import Keyframe, PathRows, Revision
@@ -45,9 +46,8 @@ stretch, it is then less than 0.7 % too small (regression dilution)."""
 MIN_EFFECTIVE = 6.0
 """Effective number of stretches (Kish 1965) needed for a scale: with fewer, an error in one of them, such
 as a scan with a late stamp, would look like a scale."""
-MIN_CHANGE, SIGMAS = 0.01, 4.0
-"""Share of a length that is reported, about the accuracy of a ruler; and how many standard deviations
-beyond it are needed: ten minutes of driving make some tens of comparisons."""
+MIN_CHANGE = 0.01
+"""Share of a length that is reported, about the accuracy of a ruler."""
 MAX_PULL = 0.025
 """rad/m of unintended turn: wheels 0.4 m apart that differ by 1 %."""
 TURN_SIGMAS = 3.0
@@ -55,10 +55,11 @@ TURN_SIGMAS = 3.0
 
 
 class ScaleEstimate(NamedTuple):
-    """A number and its standard deviation."""
+    """A number and its standard deviation, of which `sigmas` are needed to tell it from another one."""
 
     value: float
     sigma: float
+    sigmas: float
 
     @property
     def is_clear(self) -> bool:
@@ -67,7 +68,7 @@ class ScaleEstimate(NamedTuple):
 
     def is_beyond(self, limit: float) -> bool:
         """Return whether the absolute value is significantly above a limit."""
-        return abs(self.value) - SIGMAS * self.sigma > limit
+        return abs(self.value) - self.sigmas * self.sigma > limit
 
     def words(self, less: str, more: str) -> str:
         """Return a share in percent, such as "2.1 ± 0.3 % smaller"."""
@@ -92,6 +93,7 @@ class OdometryWatch(Observer):
         self._seconds = 0.0  # of the stretch
         self._rows: deque[Array] = deque(maxlen=MAX_STRETCHES)
         self._new = 0  # stretches since the last comparison
+        self._comparisons = 0
         self.notice = ""
 
     @property
@@ -136,8 +138,10 @@ class OdometryWatch(Observer):
         agreed = fit_agreement(estimated, measured)
         if agreed.distance.p[0] < 0.5:  # not a wrong length: `imp inspect` reports the cause
             return ""
+        self._comparisons += 1
         turn = bool(has_turn) and not self._robot.gyro_turns
-        findings = "; ".join(self._findings(agreed, turn=turn))
+        estimates = _estimates(agreed, _needed_sigmas(self._comparisons))
+        findings = "; ".join(self._findings(*estimates, turn=turn))
         return f"{findings}: {self._advice}" if findings else ""
 
     @property
@@ -146,11 +150,13 @@ class OdometryWatch(Observer):
             return "run `imp calibrate` on a log of this robot"
         return "check the lengths and angles in the odometry settings"
 
-    def _findings(self, agreed: Agreement, *, turn: bool) -> Iterator[str]:
+    def _findings(
+        self, a: ScaleEstimate, c: ScaleEstimate, d: ScaleEstimate, *, turn: bool
+    ) -> Iterator[str]:
         odometry = self._robot.odometry
         if isinstance(odometry, Encoders):
-            return _of_wheels(agreed, odometry.track, turn=turn)
-        return _of_poses(agreed, turn=turn)
+            return _of_wheels(a, c, d, odometry.track, turn=turn)
+        return _of_poses(a, c, d, turn=turn)
 
 
 def _is_sound(keyframe: Keyframe, revision: Revision) -> bool:
@@ -160,12 +166,25 @@ def _is_sound(keyframe: Keyframe, revision: Revision) -> bool:
     return is_placed and is_seen and not keyframe.lost and keyframe.reason < SLIPPED
 
 
-def _of_wheels(agreed: Agreement, track: float, *, turn: bool) -> Iterator[str]:
-    a, c, d = _parameters(agreed)
-    radius = ScaleEstimate(1.0 / a.value - 1.0, a.sigma / a.value**2)
+def _needed_sigmas(comparisons: int) -> float:
+    """Return the standard deviations needed in the last of some comparisons.
+
+    The error rates 6 / (pi n)^2 of all comparisons n add up to 1, times that of one test.
+    """
+    from statistics import NormalDist  # noqa: PLC0415  # 5 ms, and short logs need none
+
+    rate = ERROR_RATE * 6.0 / (math.pi * comparisons) ** 2
+    return -NormalDist().inv_cdf(0.5 * rate)
+
+
+def _of_wheels(
+    a: ScaleEstimate, c: ScaleEstimate, d: ScaleEstimate, track: float, *, turn: bool
+) -> Iterator[str]:
+    radius = a._replace(value=1.0 / a.value - 1.0, sigma=a.sigma / a.value**2)
     ratio = d.value / a.value
-    wide = ScaleEstimate(ratio - 1.0, ratio * math.hypot(d.sigma / d.value, a.sigma / a.value))
-    unequal = ScaleEstimate(-track * c.value / a.value, track * c.sigma / a.value)
+    spread = ratio * math.hypot(d.sigma / d.value, a.sigma / a.value)
+    wide = d._replace(value=ratio - 1.0, sigma=spread)
+    unequal = c._replace(value=-track * c.value / a.value, sigma=track * c.sigma / a.value)
     turns_fit = abs(d.value - 1.0) < TURN_SIGMAS * d.sigma
     if turn and turns_fit and radius.is_clear and wide.is_clear:
         yield (
@@ -182,8 +201,7 @@ def _of_wheels(agreed: Agreement, track: float, *, turn: bool) -> Iterator[str]:
         yield f"the right wheel is {words} than configured, compared with the left one"
 
 
-def _of_poses(agreed: Agreement, *, turn: bool) -> Iterator[str]:
-    a, c, d = _parameters(agreed)
+def _of_poses(a: ScaleEstimate, c: ScaleEstimate, d: ScaleEstimate, *, turn: bool) -> Iterator[str]:
     distances, turns = a._replace(value=a.value - 1.0), d._replace(value=d.value - 1.0)
     if distances.is_clear:
         yield f"odometry's distances are {distances.words('shorter', 'longer')} than those of the map"
@@ -194,11 +212,13 @@ def _of_poses(agreed: Agreement, *, turn: bool) -> Iterator[str]:
         yield f"odometry turns by {pull} per metre of straight driving"
 
 
-def _parameters(agreed: Agreement) -> tuple[ScaleEstimate, ScaleEstimate, ScaleEstimate]:
-    """Return a, c and d."""
+def _estimates(
+    agreed: Agreement, sigmas: float
+) -> tuple[ScaleEstimate, ScaleEstimate, ScaleEstimate]:
+    """Return the scale of distances, the turn per metre, and the scale of turns."""
     distance, turn = agreed
     return (
-        ScaleEstimate(float(distance.p[0]), float(distance.sigma[0])),
-        ScaleEstimate(float(turn.p[0]), float(turn.sigma[0])),
-        ScaleEstimate(float(turn.p[1]), float(turn.sigma[1])),
+        ScaleEstimate(float(distance.p[0]), float(distance.sigma[0]), sigmas),
+        ScaleEstimate(float(turn.p[0]), float(turn.sigma[0]), sigmas),
+        ScaleEstimate(float(turn.p[1]), float(turn.sigma[1]), sigmas),
     )

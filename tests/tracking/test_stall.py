@@ -104,3 +104,19 @@ def test_a_robot_that_drives_along_a_wall_it_should_approach_is_left_alone():
     ranges = np.array([box(0.1 * k, 0.1, 3.0, 1.0, rng) for k in range(m)])
     _, reasons = checked(ranges, np.tile([0.0, 0.1, 0.0], (m, 1)))
     assert not reasons.any()
+
+
+@pytest.mark.parametrize("step", [0.05, 0.08, 0.1])
+@pytest.mark.parametrize("begin", np.arange(0.2, 1.2, 0.05))
+def test_a_robot_that_backs_through_a_door_in_a_corridor_is_left_alone(begin, step):
+    """The door's frame is seen beside walls that look the same: after 20 cm more, it is 40 cm further."""
+    rng, x = np.random.default_rng(3), begin - step * np.arange(30)
+    c, s = np.cos(ANGLES), np.sin(ANGLES)
+    frame = -x[:, None] / np.where(c == 0.0, 1e-9, c)
+    aside = frame * s
+    is_frame = (frame > 0.0) & (np.abs(aside - 0.1) > 0.5)
+    walls = box(0.0, 0.1, 50.0, 0.9, rng)
+    ranges = np.minimum(walls, np.where(is_frame, frame, np.inf))
+    ranges = ranges + 0.005 * rng.standard_normal(ranges.shape)
+    _, reasons = checked(ranges, np.tile([-step, 0.0, 0.0], (30, 1)), 5.6)
+    assert not reasons.any()

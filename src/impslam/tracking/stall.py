@@ -47,7 +47,7 @@ class StallState(NamedTuple):
     Attributes
     ----------
     ranges, points : (n,) m and (n, 2) m in base_link, of the reference scan; 0 where invalid
-    odometry : (3,) motion since the last comparison, by odometry
+    odometry : (3,) motion since the reference scan, by odometry; of a stalled robot, since the last sweep
     pose : (3,) of base_link at the reference scan, in the frame of a map; or the motion since, see
         `undo_stalled_motion`
     flags : (4,) by `HAS_REFERENCE`, whether there is a reference scan; by `IS_STALLED`, whether the robot
@@ -98,17 +98,19 @@ def notice_stall(odometry: Array, beams: BeamColumns, k: int, state: StallState)
     advance_pose(state.odometry, odometry)
     if state.flags[HAS_REFERENCE] and not state.flags[IS_STALLED]:
         distance = math.hypot(state.odometry[0], state.odometry[1])
-        if distance < MIN_MOTION[0] and abs(state.odometry[2]) < MIN_MOTION[1]:
+        comparison = 2.0 if state.flags[UNCHANGED_ONCE] else 1.0
+        enough = distance >= comparison * MIN_MOTION[0]
+        if not enough and abs(state.odometry[2]) < comparison * MIN_MOTION[1]:
             return False
     # A stalled robot moves off in the direction of the newest motion.
     expected = odometry if state.flags[IS_STALLED] else state.odometry
     unchanged = state.flags[HAS_REFERENCE] and _is_unchanged(
         beams.ranges[k], expected, beams.geometry, state
     )
-    state.odometry[:] = 0.0
     if unchanged and not state.flags[IS_STALLED] and not state.flags[UNCHANGED_ONCE]:
         state.flags[UNCHANGED_ONCE] = True
         return False
+    state.odometry[:] = 0.0
     state.flags[IS_STALLED], state.flags[UNCHANGED_ONCE] = unchanged, False
     if not state.flags[IS_STALLED]:
         state.flags[HAS_REFERENCE] = state.flags[POSE_IS_DUE] = True

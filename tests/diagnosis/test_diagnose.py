@@ -17,10 +17,12 @@ from impslam.config import load
 from impslam.diagnosis.agreement import drive_axis, fit_agreement
 from impslam.diagnosis.diagnose import diagnose
 from impslam.diagnosis.evidence import gather_evidence
+from impslam.diagnosis.field_of_view import _beside
 from impslam.diagnosis.finding import Finding, worst_fault
 from impslam.diagnosis.mount import check_mount, relative_to_axle
 from impslam.diagnosis.robust import RobustFit
 from impslam.diagnosis.scales import check_scales
+from impslam.geometry.angles import wrap
 from impslam.health import MISALIGNED, MISSCALED, MISTIMED, NO_FAULT, OPPOSED
 from impslam.simulation.robot import Lidar, SimulatedRobot, WheelEncoders
 from impslam.simulation.simulate import simulate
@@ -228,6 +230,24 @@ def test_fault_is_found_and_its_settings_fix_it(drive, findings, name: str) -> N
     assert problems[kind].certainty > 0.99 or problems[kind].advice
     wrong = list(faults.faulty(drive, change))
     assert harm(wrong, *settings, *problems[kind].fix) == {}
+
+
+@pytest.mark.parametrize("scale", [0.9, 1.06])
+def test_the_field_of_view_is_found_within_a_hundredth(drive, scale) -> None:
+    (finding,) = found(list(faults.faulty(drive, faults.wider_field(scale))))
+    assert set_by(finding.fix) == {
+        "sensors.lidar.angle_scale": pytest.approx(1.0 / scale, rel=0.01)
+    }
+
+
+def test_a_derivative_by_the_angles_is_that_of_turned_beams(rng) -> None:
+    points, middle, step = rng.normal(0.0, 3.0, (20, 2)), 0.4, 1e-6
+    angles = wrap(np.arctan2(points[:, 1], points[:, 0]) - middle)
+    c, s = np.cos(step * angles), np.sin(step * angles)
+    turned = np.column_stack(
+        (c * points[:, 0] - s * points[:, 1], s * points[:, 0] + c * points[:, 1])
+    )
+    np.testing.assert_allclose((turned - points) / step, _beside(points, middle), atol=1e-4)
 
 
 def test_ranges_in_mm_beyond_a_limit_in_m_are_the_drivers_fault(drive) -> None:

@@ -36,7 +36,7 @@ TOLERANCE = 0.03
 estimate by up to 0.6 % in buildings, and by 1.6 % in an arena of 2 m full of cylinders."""
 
 
-class Bearing(NamedTuple):
+class ViewedSurface(NamedTuple):
     """The surface of a sweep in the lidar's frame, and the middle of its field of view, rad."""
 
     surface: Surface
@@ -72,12 +72,12 @@ def _estimate(lidar: Lidar2D, e: Evidence) -> tuple[float, float] | None:
     """Return the growth of all angles, as a share, by which scans fit best, and its standard deviation."""
     begins, ends = pairs(e.path, MAX_PAIRS)
     rows = np.unique(np.concatenate((begins, ends)))
-    bearings = [
-        Bearing(sweep_surface(some, k), 0.5 * float(some.angles[0] + some.angles[-1]))
+    views = [
+        ViewedSurface(sweep_surface(some, k), 0.5 * float(some.angles[0] + some.angles[-1]))
         for some in deskewed(lidar, e.recording.scans, e.path, rows)
         for k in range(len(some.stamps))
     ]
-    at = dict(zip(rows.tolist(), bearings, strict=True))
+    at = dict(zip(rows.tolist(), views, strict=True))
     found = [
         fitted
         for a, b in zip(begins.tolist(), ends.tolist(), strict=True)
@@ -90,7 +90,9 @@ def _estimate(lidar: Lidar2D, e: Evidence) -> tuple[float, float] | None:
     return float(mean.p[1]), float(mean.sigma[1])
 
 
-def _fit_pair(a: Bearing, b: Bearing, guess: Array, lidar: Lidar2D) -> tuple[Array, Array] | None:
+def _fit_pair(
+    a: ViewedSurface, b: ViewedSurface, guess: Array, lidar: Lidar2D
+) -> tuple[Array, Array] | None:
     """Return what two sweeps say of the errors [range, share of the angles], as A x = y, (2, 2) and (2,).
 
     Rows of A and y have a standard deviation of 1. None if the sweeps do not match, or are from one place:

@@ -27,8 +27,8 @@ that an error of 10 cm covers many beams."""
 CLEARANCE = 0.2
 """m between a surface and the free part of a beam: more than the error of a match and of a range."""
 MIN_INCIDENCE = 0.35
-"""Least cosine between a beam and the normal of a surface that it must have hit: at 0.4 m, as in a door, a
-surface that is off by 5 cm is missed below 0.13, and its normal is off by 0.2 where it ends."""
+"""Least cosine between a beam and the normal of a surface that it must have hit, 20 degrees: at 0.4 m, as
+in a door, a surface that is off by 5 cm may be missed below 0.13; the rest is for its normal."""
 TURN_CLEARANCE = 0.05
 """rad on either side of a beam within which all ranges must agree: more than the error of a heading."""
 

@@ -94,7 +94,8 @@ def _behind_surfaces(
         x, y = surface_map.surfels[k, 0] - laser[0], surface_map.surfels[k, 1] - laser[1]
         distance = math.hypot(x, y)
         middle = beam_towards(math.atan2(c * y - s * x, c * x + s * y), beams, geometry)
-        across = abs(x * surface_map.surfels[k, 2] + y * surface_map.surfels[k, 3])
+        nx, ny = surface_map.surfels[k, 2], surface_map.surfels[k, 3]
+        across = abs(x * nx + y * ny) if nx != 0.0 or ny != 0.0 else distance  # a lone point
         if middle < 0 or distance < CELL or across < MIN_INCIDENCE * distance:
             continue
         passed = distance + CLEARANCE * distance / across

@@ -1,6 +1,6 @@
 """Random robots in random buildings: errors, lost scans and calibration of the covariances.
 
-    python benchmarks/random_buildings.py --seeds 0 100           # 6 minutes on 2 cores
+    python benchmarks/random_buildings.py --seeds 0 100           # 5 minutes on 2 cores
 
 A building has 2 to 4 rows of 2 to 4 rooms or corridors, with doors, furniture and people who walk in the
 rooms. The robot visits all of them, with one of six lidars, mounted anywhere and at any angle, and wheels

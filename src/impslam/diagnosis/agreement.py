@@ -32,8 +32,6 @@ MIN_STRETCHES = 12
 """Stretches that a fit needs: twice the rows that its robust scale can be wrong about."""
 ROUNDING = math.sqrt(6.0)
 """Resolution over the standard deviation of the difference of two rounded values."""
-MIN_SIGMA = 1e-9
-"""m, rad: lower bound of the standard deviation of odometry, for exact readings."""
 MIN_SCALE = 0.02
 """Share of the laser's motion below which the sign of odometry's is chance: it creeps while it stands."""
 MATCH_DISTANCE_ERROR = 0.004
@@ -132,8 +130,7 @@ def fit_agreement(
     are no outliers.
     """
     distance, turn = (
-        fit(axle, odometry[:, k], min_sigma=max(float(resolution[k]) / ROUNDING, MIN_SIGMA))
-        for k in (0, 2)
+        fit(axle, odometry[:, k], min_sigma=float(resolution[k]) / ROUNDING) for k in (0, 2)
     )
     weights = np.ones(len(axle))
     by_distance, by_turn = _attenuation(axle, weights).T

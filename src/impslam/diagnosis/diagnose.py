@@ -41,9 +41,10 @@ MIN_SCANS = 50
 LIDAR_ROOTS = (
     check_range_unit, check_noise, check_overlap, check_field_of_view, check_range_offset, check_clocks,
 )  # fmt: skip
-SLOW = (check_field_of_view, check_range_offset)
 ODOMETRY_ROOTS = (check_wrap, check_pose_units, check_preset)
 """The faults of a lidar, and of odometry, that these find would cause findings of the other checks."""
+SLOW = (check_field_of_view, check_range_offset)
+"""Checks that match pairs of scans again; a quick diagnosis leaves them out."""
 CHECKS = (
     check_handedness, check_times, check_odometry, check_scales, check_mount,
     check_value, check_beams,

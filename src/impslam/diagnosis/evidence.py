@@ -124,20 +124,19 @@ def gather_evidence(config: Config, name: str, recording: CalibrationRows) -> Ev
     sums = np.cumsum(sweeps.twists, axis=0)
     lidar_motion = sums[ends] - sums[begins]
     odometry_motion = odometer.between(times) if len(times) else lidar_motion
-    axis = _axis(lidar_motion, odometry_motion, lidar)
+    axis, resolution = _axis(lidar_motion, odometry_motion, lidar), odometer.resolution
     axle_motion, agreement = np.empty((0, 2)), None
     if axis is not None:
         axle_motion = motion_along(lidar_motion, axis.angle)
-        agreement = fit_agreement(axle_motion, odometry_motion, odometer.resolution)
+        agreement = fit_agreement(axle_motion, odometry_motion, resolution)
         if agreement.is_reversed:
             axis = axis.flipped()
             axle_motion = motion_along(lidar_motion, axis.angle)
-            agreement = fit_agreement(axle_motion, odometry_motion, odometer.resolution)
+            agreement = fit_agreement(axle_motion, odometry_motion, resolution)
     return Evidence(
         config, name, lidar, robot.odometry, recording, path, samples, sweeps, timing,
-        _sweep_time(lidar, recording.scans), times, lidar_motion, odometry_motion, odometer.resolution,
-        axis, axle_motion,
-        agreement, _total(odometer), len(lidars) == 1,
+        _sweep_time(lidar, recording.scans), times, lidar_motion, odometry_motion, resolution,
+        axis, axle_motion, agreement, _total(odometer), len(lidars) == 1,
     )  # fmt: skip
 
 

@@ -171,7 +171,7 @@ def _needed_sigmas(comparisons: int) -> float:
 
     The error rates 6 / (pi n)^2 of all comparisons n add up to 1, times that of one test.
     """
-    from statistics import NormalDist  # noqa: PLC0415  # 5 ms, and short logs need none
+    from statistics import NormalDist  # noqa: PLC0415  # 10 ms, and short logs need none
 
     rate = ERROR_RATE * 6.0 / (math.pi * comparisons) ** 2
     return -NormalDist().inv_cdf(0.5 * rate)

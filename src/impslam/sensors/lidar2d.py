@@ -58,7 +58,11 @@ class Lidar2D(Sensor):
         0.0, "m", "added to the scaled ranges, from a calibration: true = scale * measured + offset"
     )
     angle_scale: float = parameter(
-        1.0, "1", "true angle of a beam over that in the messages, from a calibration", gt=0, le=10
+        1.0,
+        "1",
+        "true angle of a beam over that in the messages; `imp inspect` finds it",
+        gt=0,
+        le=10,
     )
     period: float = parameter(
         0.0,

@@ -126,14 +126,14 @@ def _number(text: Bytes, i: int, end: int) -> tuple[float, int, bool]:
     begin = i
     mantissa = 0
     while i < end and 48 <= text[i] <= 57:
-        mantissa = 10 * mantissa + (text[i] - 48)
+        mantissa = 10 * mantissa + (int(text[i]) - 48)
         i += 1
     digits, power = i - begin, 0
     if i < end and text[i] == 46:  # .
         i += 1
         begin = i
         while i < end and 48 <= text[i] <= 57:
-            mantissa = 10 * mantissa + (text[i] - 48)
+            mantissa = 10 * mantissa + (int(text[i]) - 48)
             i += 1
         power = begin - i
         digits -= power
@@ -159,7 +159,7 @@ def _exponent(text: Bytes, i: int, end: int) -> tuple[int, int]:
         i += 1
     begin, value = i, 0
     while i < end and 48 <= text[i] <= 57:
-        value = 10 * value + (text[i] - 48)
+        value = 10 * value + (int(text[i]) - 48)
         i += 1
     if not 0 < i - begin <= 4:
         return _NOT_PLAIN, i

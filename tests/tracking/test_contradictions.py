@@ -43,12 +43,15 @@ def scan_at(pose, walls=WORLD):
     return np.where((t > 0) & (u >= 0) & (u <= 1), t, np.inf).min(axis=1)
 
 
-def contradicted(poses, pose, seen=None, valid=None):
-    """Return the share of a scan, seen at one pose and placed at another, after scans at some poses."""
+def contradicted(poses, pose, seen=None, valid=None, before=WORLD):
+    """Return the share of a scan, seen at one pose and placed at another, after scans at some poses.
+
+    Those before show the walls `before`.
+    """
     surface_map = empty_surface_map(60.0, 60.0, 10_000)
     everything = np.ones(BEAMS, bool)
     for place in poses:
-        ranges = scan_at(place)
+        ranges = scan_at(place, before)
         directions = np.stack((np.cos(ANGLES), np.sin(ANGLES)), axis=-1)
         origins = np.tile(GEOMETRY.laser[:2], (BEAMS, 1))
         points, found = origins + ranges[:, None] * directions, np.empty((BEAMS, 5), np.float32)
@@ -58,8 +61,8 @@ def contradicted(poses, pose, seen=None, valid=None):
         scan_at(pose if seen is None else seen),
         everything if valid is None else valid,
         np.array(pose, float),
-        surface_map,
-        scan_at(poses[-1]),
+        surface_map.surfels[: surface_map.size[0]],
+        scan_at(poses[-1], before),
         np.array(poses[-1], float),
         GEOMETRY,
     )
@@ -93,6 +96,25 @@ def test_ends_of_the_wall_beside_a_door_are_no_contradiction(seen, off):
     assert contradicted(APPROACH, placed, seen) < 0.5 * MIN_CONTRADICTED
 
 
+@pytest.mark.parametrize("turn", [-0.6, 0.0, 0.6])
+def test_a_door_that_opens_is_no_contradiction(turn):
+    closed = np.concatenate((WORLD, [[(3, -0.5), (3, 0.5)]]))
+    for seen in [(2.5, 0.1, turn), (2.9, 0.1, turn)]:
+        assert contradicted(APPROACH, seen, before=closed) < 0.5 * MIN_CONTRADICTED
+
+
+def test_a_person_who_stood_ahead_and_moves_on_is_no_contradiction():
+    person = np.concatenate((WORLD, [[(2.3, -0.3), (2.3, 0.3)]]))
+    seen = APPROACH[-2]
+    assert (scan_at(seen, person) < scan_at(seen)).mean() > MIN_CONTRADICTED
+    assert contradicted(APPROACH[:-1], seen, before=person) < 0.5 * MIN_CONTRADICTED
+
+
+def test_a_wall_that_is_gone_is_a_contradiction():
+    wall = np.concatenate((WORLD, [[(2.7, -2), (2.7, 2)]]))
+    assert contradicted(APPROACH[:-1], APPROACH[-2], before=wall) > 2 * MIN_CONTRADICTED
+
+
 @pytest.mark.parametrize("elsewhere", [(8, 0, 0), (5, -6, 2), (9, 6, -1.5), (8, 2, 3)])
 def test_a_robot_carried_to_another_place_is_contradicted(elsewhere):
     assert contradicted(APPROACH, APPROACH[-2], elsewhere) > 2 * MIN_CONTRADICTED
@@ -110,7 +132,7 @@ def test_invalid_beams_do_not_count():
 def test_beams_of_one_direction_contradict_nothing():
     one = Geometry(np.zeros(3), 0.0, 0.0)
     share = contradicted_share(
-        np.array([2.0]), np.ones(1, bool), np.zeros(3), empty_surface_map(9.0, 9.0, 9),
+        np.array([2.0]), np.ones(1, bool), np.zeros(3), np.zeros((0, 8)),
         np.array([5.0]), np.zeros(3), one,
     )  # fmt: skip
     assert share == 0.0

@@ -13,7 +13,8 @@ import numpy as np
 
 from impslam.geometry.chain import advance_pose
 from impslam.geometry.kernels import kernel
-from impslam.surfaces.surface_map import CELL, SurfaceMap
+from impslam.surfaces.features import Features
+from impslam.surfaces.surface_map import CELL
 from impslam.tracking.beams import Geometry
 from impslam.tracking.reference_scan import beam_towards, laser_motion, seen_from
 from impslam.types import Array, Mask
@@ -24,6 +25,11 @@ door it is below a tenth."""
 MIN_LENGTH = 0.3
 """m of contradicted surfaces, across the beams: in a door, the ends of the wall on both sides are near, so
 that an error of 10 cm covers many beams."""
+MIN_SURFACES = 0.3
+"""Share of a scan's points that are on surfaces, see `Features`; one with fewer does not show another room,
+but noise. In five recorded buildings, 99 % of the scans have more than 0.36, half of them more than 0.7."""
+MAX_DOOR = 2.5
+"""m: surfaces that vanish within this extent are a door that opened, or people who moved on."""
 CLEARANCE = 0.2
 """m between a surface and the free part of a beam: more than the error of a match and of a range."""
 MIN_INCIDENCE = 0.35
@@ -38,34 +44,69 @@ def contradicted_share(
     ranges: Array,
     valid: Mask,
     pose: Array,
-    surface_map: SurfaceMap,
+    surfels: Array,
     last_ranges: Array,
     last_pose: Array,
     geometry: Geometry,
 ) -> float:
     """Return the share of the valid beams of a scan at pose (3,) that contradict map or last scan.
 
-    It is 0 if the surfaces that they show or miss are shorter than `MIN_LENGTH` in all.
-    `ranges` and `last_ranges` (n,) are in m, the latter 0 where invalid; the poses of both scans are in
-    the frame of the map.
+    Surfaces that they miss do not count if all of them may be one door; the share is 0 if those that they
+    show or miss are shorter than `MIN_LENGTH` in all. `surfels` (n, 8) are those of the map, see
+    `SurfaceMap`. `ranges` and `last_ranges` (n,) are in m, the latter 0 where invalid; the poses of both
+    scans are in the frame of the map.
     """
     n = len(ranges)
     laser, to_last = pose.copy(), laser_motion(last_pose, pose, geometry)
     advance_pose(laser, geometry.laser)
     scan = np.where(valid, ranges, 0.0)
     free, free_before = free_ranges(scan, geometry), free_ranges(last_ranges, geometry)
-    behind = _behind_surfaces(laser, surface_map, n, geometry)
-    contradicted, count, length = 0, 0, 0.0
+    behind = _behind_surfaces(laser, surfels, n, geometry)
+    appeared, vanished, count, length, box = 0, 0, 0, 0.0, empty_box()
     for i in range(n):
         if not valid[i]:
             continue
         count += 1
         k, reach = seen_from(i, ranges[i], to_last, n, geometry)
-        appeared = k >= 0 and reach < free_before[k] - CLEARANCE
-        if appeared or behind[i] < free[i]:
-            contradicted += 1
+        is_new, is_open = k >= 0 and reach < free_before[k] - CLEARANCE, behind[i] < free[i]
+        if is_new or is_open:
             length += abs(geometry.spacing) * min(ranges[i], behind[i])
-    return contradicted / max(count, 1) if length > MIN_LENGTH else 0.0
+        if is_new:
+            appeared += 1
+        elif is_open:
+            vanished += 1
+            angle = geometry.first + i * geometry.spacing
+            widen(box, behind[i] * math.cos(angle), behind[i] * math.sin(angle))
+    if diagonal(box) < MAX_DOOR:
+        vanished = 0
+    return (appeared + vanished) / max(count, 1) if length > MIN_LENGTH else 0.0
+
+
+@kernel
+def shows_surfaces(features: Features) -> bool:
+    """Return whether enough of a scan's features are on surfaces for it to show a room."""
+    return bool((features[:, 4] > 0.0).sum() > MIN_SURFACES * len(features))
+
+
+@kernel
+def empty_box() -> Array:
+    """Return the box (2, 2) around no point: lowest and highest x and y, m."""
+    box = np.empty((2, 2))
+    box[0], box[1] = math.inf, -math.inf
+    return box
+
+
+@kernel
+def widen(box: Array, x: float, y: float) -> None:
+    """Widen a box to contain a point."""
+    box[0, 0], box[0, 1] = min(box[0, 0], x), min(box[0, 1], y)
+    box[1, 0], box[1, 1] = max(box[1, 0], x), max(box[1, 1], y)
+
+
+@kernel
+def diagonal(box: Array) -> float:
+    """Return the diagonal of a box, m; 0 if it is empty."""
+    return math.hypot(max(box[1, 0] - box[0, 0], 0.0), max(box[1, 1] - box[0, 1], 0.0))
 
 
 @kernel
@@ -81,20 +122,18 @@ def free_ranges(ranges: Array, geometry: Geometry) -> Array:
 
 
 @kernel
-def _behind_surfaces(
-    laser: Array, surface_map: SurfaceMap, beams: int, geometry: Geometry
-) -> Array:
+def _behind_surfaces(laser: Array, surfels: Array, beams: int, geometry: Geometry) -> Array:
     """Return the range (n,) in m at which each beam would be `CLEARANCE` behind a surfel; inf without one.
 
     Surfaces seen nearly edge-on are left out: in a door, beams pass beside the wall that it is in.
     """
     nearest = np.full(beams, math.inf)
     c, s = math.cos(laser[2]), math.sin(laser[2])
-    for k in range(surface_map.size[0]):
-        x, y = surface_map.surfels[k, 0] - laser[0], surface_map.surfels[k, 1] - laser[1]
+    for k in range(len(surfels)):
+        x, y = surfels[k, 0] - laser[0], surfels[k, 1] - laser[1]
         distance = math.hypot(x, y)
         middle = beam_towards(math.atan2(c * y - s * x, c * x + s * y), beams, geometry)
-        nx, ny = surface_map.surfels[k, 2], surface_map.surfels[k, 3]
+        nx, ny = surfels[k, 2], surfels[k, 3]
         across = abs(x * nx + y * ny) if nx != 0.0 or ny != 0.0 else distance  # a lone point
         if middle < 0 or distance < CELL or across < MIN_INCIDENCE * distance:
             continue

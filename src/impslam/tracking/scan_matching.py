@@ -22,7 +22,11 @@ from impslam.surfaces.features import Features, leave_out_oblique
 from impslam.tracking.base import Gate, Steps, add_travel, reaches_limit
 from impslam.tracking.beams import BeamColumns, find_beam_features
 from impslam.tracking.carried import begin_place, notice_carried
-from impslam.tracking.contradictions import MIN_CONTRADICTED, contradicted_share
+from impslam.tracking.contradictions import (
+    MIN_CONTRADICTED,
+    contradicted_share,
+    shows_surfaces,
+)
 from impslam.tracking.due import is_due
 from impslam.tracking.frozen import notice_frozen, remains_frozen
 from impslam.tracking.fusion import MAX_COAST, RATE_SIGMA, SPEED_SIGMA, coast, fuse
@@ -47,7 +51,7 @@ from impslam.tracking.reach import widen_after_gap
 from impslam.tracking.self_deskewing import deskew, set_twist
 from impslam.tracking.stall import IS_STALLED
 from impslam.tracking.stalled import predict_stalled, report_stalled, set_reference_pose
-from impslam.tracking.submaps import extend, is_empty, older_map
+from impslam.tracking.submaps import confirmed_surfels, extend, is_empty
 from impslam.types import Array
 
 MIN_POINTS = 10
@@ -121,14 +125,15 @@ def _use_scan(
         state.submaps.travelled[0] += state.travelled[0]
     else:
         stalled = not no_odometry and predict_stalled(beams, k, state)
-        _match(features[:count], k, no_odometry, beams, state, settings, out)
+        fits = _match(features[:count], k, no_odometry, beams, state, settings, out)
         if stalled:
             report_stalled(k, state, out)
         if out.reasons[k] == ELSEWHERE:
             begin_place(state)
+            fits = True
         moved_on = notice_frozen(k, motions.duration[k], state, settings, out)
         if out.reasons[k] != UNEXPLAINED:
-            _add_to_submaps(features[:count], k, beams, state, settings, moved_on)
+            _add_to_submaps(features[:count], k, beams, state, settings, moved_on, fits)
     out.error[k] = rotate_covariance(state.error, -state.matched[2])
     out.reference[k] = True
     set_reference_pose(state)
@@ -224,6 +229,7 @@ def _add_to_submaps(
     state: State,
     settings: Settings,
     moved_on: bool,
+    fits: bool,
 ) -> None:
     """Store the ranges of sweep k, and add it to the submaps unless it is near the one added last.
 
@@ -237,7 +243,7 @@ def _add_to_submaps(
     far = math.hypot(pose[0] - new[0], pose[1] - new[1]) >= settings.spacing
     far |= abs(wrap_in_kernel(pose[2] - new[2])) >= settings.turn
     if np.isnan(new[0]) or far or moved_on:
-        extend(state.submaps, features, pose, settings.length)
+        extend(state.submaps, features, pose, settings.length, fits)
         new[:] = pose
 
 
@@ -250,10 +256,13 @@ def _match(
     state: State,
     settings: Settings,
     out: Steps,
-) -> None:
-    """Match sweep k and update the state; a sweep that does not fit changes only `faults`."""
+) -> bool:
+    """Match sweep k and update the state; return whether it fits.
+
+    A sweep that fits poorly and contradicts the submaps changes only `faults`.
+    """
     if is_empty(state.submaps):
-        return
+        return True
     guess, means = state.pose.copy(), state.averages.copy()
     usual, H, W = means[0], np.empty((3, 3)), np.empty(3)
     share = find_pose(features, state, settings, H, W)
@@ -263,10 +272,10 @@ def _match(
     between(guess, state.pose, off)
     fit = MatchQuality(state.evidence.sums[0], share, off)
     poor = fits_poorly(state.faults, fit, usual)
-    if poor and _contradicts(beams, k, state, no_odometry):
+    if poor and (not shows_surfaces(features) or _contradicts(beams, k, state, no_odometry)):
         out.reasons[k], out.amounts[k] = add_misfit(state.faults, state.travelled[2]), share
         state.pose[:], state.averages[:] = guess, means
-        return
+        return False
     if poor:  # what the scan shows is not in the map yet
         state.averages[:] = means
         state.faults.poor[:] = 0.0
@@ -274,6 +283,7 @@ def _match(
         state.averages[0] += MEMORY[0] * (share - usual)
         add_fit(state.faults, fit, usual)
     _move(ScanMatch(guess, fit, usual, H, W), k, no_odometry, state, settings, out)
+    return not poor
 
 
 @kernel
@@ -323,8 +333,8 @@ def _contradicts(beams: BeamColumns, k: int, state: State, no_odometry: bool) ->
     if state.faults.poor[0] > 0.0 or (gap and not covered):
         return True
     share = contradicted_share(
-        beams.ranges[k], beams.valid[k], state.pose, older_map(state.submaps), state.lidar.ranges,
-        state.lidar.pose, beams.geometry,
+        beams.ranges[k], beams.valid[k], state.pose, confirmed_surfels(state.submaps),
+        state.lidar.ranges, state.lidar.pose, beams.geometry,
     )  # fmt: skip
     return share > MIN_CONTRADICTED
 

@@ -88,6 +88,20 @@ def test_a_leg_beside_the_lidar_that_is_gone_is_no_new_place():
     assert not {CHANGED, CARRIED} & set(out.reasons.tolist())
 
 
+@pytest.mark.parametrize("x", [0.5, 0.7, 1.5])
+def test_a_door_that_opens_at_once_is_no_new_place(x):
+    """At 5 Hz, a second scan already shows the room behind a leaf of 1.2 m that swings open."""
+    door = np.array([[[x, 0.6], [x, -0.6]]])
+    (out,) = followed(np.zeros((60, 3)), np.zeros((60, 3)), door)
+    assert not {CHANGED, CARRIED} & set(out.reasons.tolist())
+
+
+def test_two_objects_that_are_gone_together_show_a_new_place():
+    boxes = np.concatenate([room(0.8, 1.1, y, y + 0.3)[:, ::-1] for y in (-1.2, 0.9)])
+    (out,) = followed(np.zeros((60, 3)), np.zeros((60, 3)), boxes)
+    assert (out.reasons == CARRIED).sum() == 1
+
+
 def test_a_robot_that_drives_on_is_not_carried():
     (out,) = followed(poses(), poses())
     assert not out.reasons.any()

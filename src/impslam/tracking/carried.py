@@ -1,8 +1,8 @@
 """Detect a robot that was carried while its scans are matched.
 
 A match may be found although the robot was carried, e.g. turned around in a corridor. Static objects that
-vanish or appear between scans at matched poses prove it (see `jump`), if they cannot be a person who
-stood still before.
+vanish or appear between scans at matched poses prove it (see `jump`), if they cannot be a door, or a
+person who stood still before.
 """
 
 from __future__ import annotations
@@ -17,12 +17,10 @@ from impslam.tracking.jump import find_change, forget
 from impslam.tracking.matching_state import State
 from impslam.tracking.reference_scan import ranges_at_once
 
-CERTAIN_SHARE, MIN_SIZE = 0.15, 0.5
-"""Share of the beams, and m of extent of their points, that together prove a change: more than a person a
-metre away covers, and not a leg beside the lidar."""
-SPREAD_SHARE, MIN_EXTENT = 0.05, 1.0
-"""The same for changes that are larger than a person. In recorded buildings, changes that a second scan
-confirms are up to 0.047 of a scan."""
+MIN_SHARE, MIN_EXTENT = 0.05, 1.5
+"""Share of the beams, and m of extent of their points, that together prove a change: more than a door that
+opens at once, or a person. In recorded buildings, changes that a second scan confirms are up to 0.047 of a
+scan."""
 
 
 @kernel
@@ -38,8 +36,7 @@ def notice_carried(beams: BeamColumns, k: int, state: State, duration: float, ou
         past.place[0] = state.places[0]
     ranges = ranges_at_once(beams.ranges[k], beams.directions[k], beams.geometry)
     share, extent, confirmed = find_change(ranges, state.pose, state.time[0], past, beams.geometry)
-    certain = share > CERTAIN_SHARE and extent > MIN_SIZE
-    certain = certain or (share > SPREAD_SHARE and extent > MIN_EXTENT)
+    certain = share > MIN_SHARE and extent > MIN_EXTENT
     if certain and out.reasons[k] < CHANGED:
         out.reasons[k], out.amounts[k] = CHANGED, share
     if certain and confirmed:

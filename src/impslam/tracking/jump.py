@@ -22,7 +22,10 @@ from impslam.tracking.contradictions import (
     CLEARANCE,
     MIN_INCIDENCE,
     TURN_CLEARANCE,
+    diagonal,
+    empty_box,
     free_ranges,
+    widen,
 )
 from impslam.tracking.per_lidar import PerLidar
 from impslam.tracking.reference_scan import laser_motion, ranges_at_once, seen_from
@@ -37,6 +40,8 @@ MAX_INTERVAL = 0.5
 """s between the scans that are compared; in a longer time doors and people move."""
 MIN_SHARE, MIN_BEAMS = 0.025, 10
 """Share of the beams, and number, that show a change. In drives past people it is below 0.02."""
+TOGETHER = 1.5
+"""s: changes within this time have one cause: points that appeared are known to be static so much later."""
 SIDE_BEAMS, MAX_SIDE = 4, 1.0
 """Beams on either side of a point, and m between their ends, that show the direction of its surface."""
 MAX_SCANS = 64
@@ -55,6 +60,8 @@ class PastScans(NamedTuple):
     judged : (1,) number of scans whose points have been found static or not
     unconfirmed : (1,) the scan before a change that is to be confirmed, else -1
     place : (1,) the number of the place that the lidar is at; see `carried`
+    box : (2, 2) m, lowest and highest x and y of the points that show the newest changes
+    changed : (1,) s, time of the newest change
     """
 
     ranges: Array
@@ -66,6 +73,8 @@ class PastScans(NamedTuple):
     judged: Ints
     unconfirmed: Ints
     place: Ints
+    box: Array
+    changed: Array
 
 
 def no_past(beams: int) -> PastScans:
@@ -80,6 +89,8 @@ def no_past(beams: int) -> PastScans:
         judged=np.zeros(1, np.int64),
         unconfirmed=np.full(1, -1),
         place=np.zeros(1, np.int64),
+        box=np.zeros((2, 2)),
+        changed=np.full(1, -math.inf),
     )
 
 
@@ -125,22 +136,28 @@ def find_change(
     """Add a scan at a pose (3,) and time; return the change that it shows.
 
     `ranges` (n,) are as if taken at once, 0 where invalid. Returned are the share of the beams that show
-    the change, 0 without one; the extent of these points, m; and whether another scan confirms it.
+    the change, 0 without one; the extent of these points and those of other changes within `TOGETHER`, m;
+    and whether another scan confirms it.
     """
+    if time > past.changed[0] + TOGETHER:
+        past.box[:] = empty_box()
     judged, new = past.judged, past.added[0]
     past.added[0] += 1
     row = new % MAX_SCANS
     past.ranges[row], past.free[row] = ranges, free_ranges(ranges, geometry)
     past.poses[row], past.times[row] = pose, time
     judged[0] = max(judged[0], new - MAX_SCANS + 3, past.first[0])
-    share, extent, confirmed = _vanished(new, past, geometry)
+    share, confirmed = _vanished(new, past, geometry)
     while judged[0] < new and past.times[judged[0] % MAX_SCANS] <= time - STATIC_TIME:
         scan = judged[0]
-        appeared, size = _changed(new, scan, scan - 1, past, geometry)
-        if appeared > 0.0 and _changed(new, scan, scan - 2, past, geometry)[0] > 0.0:
-            share, extent, confirmed = max(appeared, share), max(size, extent), True
+        appeared = _changed(new, scan, scan - 1, past, geometry)
+        if appeared > 0.0 and _changed(new, scan, scan - 2, past, geometry) > 0.0:
+            share, confirmed = max(appeared, share), True
         judged[0] += 1
-    return share, extent, confirmed
+    if share == 0.0:
+        return 0.0, 0.0, False
+    past.changed[0] = time
+    return share, diagonal(past.box), confirmed
 
 
 @kernel
@@ -148,21 +165,22 @@ def forget(past: PastScans) -> None:
     """Compare later scans only with each other: the robot is elsewhere."""
     past.judged[0] = past.first[0] = past.added[0]
     past.unconfirmed[0] = -1
+    past.changed[0] = -math.inf
 
 
 @kernel
-def _vanished(new: int, past: PastScans, geometry: Geometry) -> tuple[float, float, bool]:
-    """Return share and extent of the static points that a scan misses, and whether it confirms the last."""
+def _vanished(new: int, past: PastScans, geometry: Geometry) -> tuple[float, bool]:
+    """Return the share of the static points that a scan misses, and whether it confirms the last change."""
     before = past.unconfirmed[0]
     if before >= 0:
         past.unconfirmed[0] = -1
-        share, extent = _changed(_earlier(before, past), before, new, past, geometry)
+        share = _changed(_earlier(before, past), before, new, past, geometry)
         if share > 0.0:
-            return share, extent, True
-    share, extent = _changed(_earlier(new - 1, past), new - 1, new, past, geometry)
+            return share, True
+    share = _changed(_earlier(new - 1, past), new - 1, new, past, geometry)
     if share > 0.0:
         past.unconfirmed[0] = new - 1
-    return share, extent, False
+    return share, False
 
 
 @kernel
@@ -176,27 +194,26 @@ def _earlier(scan: int, past: PastScans) -> int:
 
 
 @kernel
-def _changed(
-    still: int, scan: int, beside: int, past: PastScans, geometry: Geometry
-) -> tuple[float, float]:
-    """Return share and extent of the points of a scan that are static but not in the one beside it in time.
+def _changed(still: int, scan: int, beside: int, past: PastScans, geometry: Geometry) -> float:
+    """Return the share of the points of a scan that are static but not in the one beside it in time.
 
-    Static are points that the scan `still` and one halfway to it show as well. Both are 0 if the share is
-    too small.
+    Static are points that the scan `still` and one halfway to it show as well. It is 0 if too small, else
+    the points widen the box.
     """
     if min(still, beside) < past.first[0]:
-        return 0.0, 0.0
+        return 0.0
     halfway = _halfway(still, scan, past)
     still, scan, beside = still % MAX_SCANS, scan % MAX_SCANS, beside % MAX_SCANS
     if abs(past.times[scan] - past.times[beside]) > MAX_INTERVAL:
-        return 0.0, 0.0
+        return 0.0
     ranges, opposite, free = past.ranges[scan], past.ranges[beside], past.free[beside]
     to_still = laser_motion(past.poses[still], past.poses[scan], geometry)
     to_halfway = laser_motion(past.poses[halfway], past.poses[scan], geometry)
     to_beside = laser_motion(past.poses[beside], past.poses[scan], geometry)
-    view = _view(to_beside, geometry)
-    changed = count = 0
-    low, high = np.full(2, math.inf), np.full(2, -math.inf)
+    view, laser = _view(to_beside, geometry), past.poses[scan].copy()
+    advance_pose(laser, geometry.laser)
+    heading = _direction(laser[2])
+    changed, count, box = 0, 0, empty_box()
     ahead, step = _direction(geometry.first), _direction(geometry.spacing)
     for i in range(len(ranges)):
         beam, ahead = ahead, _turned(ahead, step)
@@ -214,13 +231,14 @@ def _changed(
             and _shows(halfway, i, ranges[i], to_halfway, past, geometry)
         ):
             changed += 1
-            x, y = ranges[i] * beam[0], ranges[i] * beam[1]
-            low[0], low[1] = min(low[0], x), min(low[1], y)
-            high[0], high[1] = max(high[0], x), max(high[1], y)
+            end = _turned((ranges[i] * beam[0], ranges[i] * beam[1]), heading)
+            widen(box, laser[0] + end[0], laser[1] + end[1])
     share = changed / max(count, 1)
     if changed < MIN_BEAMS or share <= MIN_SHARE:
-        return 0.0, 0.0
-    return share, math.hypot(high[0] - low[0], high[1] - low[1])
+        return 0.0
+    for corner in box:
+        widen(past.box, corner[0], corner[1])
+    return share
 
 
 @kernel

@@ -19,10 +19,11 @@ from impslam.diagnosis.diagnose import diagnose
 from impslam.diagnosis.evidence import gather_evidence
 from impslam.diagnosis.field_of_view import _beside
 from impslam.diagnosis.finding import Finding, worst_fault
-from impslam.diagnosis.mount import check_mount, relative_to_axle
+from impslam.diagnosis.mount import ahead_of, check_mount
 from impslam.diagnosis.robust import RobustFit
 from impslam.diagnosis.scales import check_scales
 from impslam.geometry.angles import wrap
+from impslam.geometry.se2 import between, compose
 from impslam.health import MISALIGNED, MISSCALED, MISTIMED, NO_FAULT, OPPOSED
 from impslam.simulation.robot import Lidar, SimulatedRobot, WheelEncoders
 from impslam.simulation.simulate import simulate
@@ -137,8 +138,8 @@ def findings(drive) -> Callable[[str], list[Finding]]:
 
 
 def test_a_laser_behind_the_axle_is_reported_behind_it() -> None:
-    assert relative_to_axle(0.1, 0.002) == "0.100 ± 0.002 m ahead of the axle"
-    assert relative_to_axle(-0.064, 0.0) == "0.064 ± 0.001 m behind the axle"
+    assert ahead_of("the axle", 0.1, 0.002) == "0.100 ± 0.002 m ahead of the axle"
+    assert ahead_of("the axle", -0.064, 0.0) == "0.064 ± 0.001 m behind the axle"
 
 
 SPOILED = {
@@ -258,18 +259,19 @@ def test_ranges_in_mm_beyond_a_limit_in_m_are_the_drivers_fault(drive) -> None:
 
 
 @pytest.mark.parametrize(
-    ("scale", "kind", "remedy"),
+    ("scale", "turned", "kind", "remedy"),
     [
-        ((1000.0, 1000.0, 1.0), "poses in mm", "--set odometry.distance_scale=0.001"),
-        ((1.0, 1.0, 57.29578), "poses in degrees", "--columns theta=NAME*0.0174533"),
-        ((1.0, 1.0, 1.0), None, ""),
+        ((1000.0, 1000.0, 1.0), 9.0, "poses in mm", "--set odometry.distance_scale=0.001"),
+        ((1.0, 1.0, 57.29578), 9.0, "poses in degrees", "--columns theta=NAME*0.0174533"),
+        ((1.0, 1.0, 1.0), 9.0, "lidar rotated", ",-2.71"),
+        ((1.0, 1.0, 1.0), 2.0 * math.tau, None, ""),
     ],
 )
-def test_units_of_poses(drive, scale, kind, remedy) -> None:
+def test_units_of_poses(drive, scale, turned, kind, remedy) -> None:
     """Truth as odometry, in another unit; its headings are not wrapped, as in many CSV logs."""
     true = [c for batch in drive for c in batch.values() if c.kind is TruePose]
     stamps = np.concatenate([c.stamps for c in true])
-    headings = np.unwrap(np.concatenate([c["pose"][:, 2] for c in true])) + 9.0
+    headings = np.unwrap(np.concatenate([c["pose"][:, 2] for c in true])) + turned
 
     def change(c: Columns) -> Columns:
         heading = headings[np.searchsorted(stamps, c.stamps)]
@@ -522,3 +524,66 @@ def _with_one(column, value: float):
     out = column.copy()
     out[len(out) // 2] = value
     return out
+
+
+BASE = np.array([0.15, -0.1, math.radians(40.0)])
+"""A frame on the robot; it moves sideways when the robot drives ahead."""
+
+
+@pytest.fixture(scope="module")
+def sideways_drive() -> list[Batch]:
+    return drive_in(BASE)
+
+
+def drive_in(frame: np.ndarray) -> list[Batch]:
+    """Return a drive of a robot whose odometry is that of a frame (3,) on it."""
+    rng = np.random.default_rng(1)
+    robot = SimulatedRobot(imu=None)
+    messages = []
+    for message in simulate(load_world("arena"), robot, seed=3):
+        if isinstance(message, TruePose):
+            pose = compose(message.pose, frame) + rng.normal(0.0, 1e-4, 3)
+            message = OdometryPose(message.stamp, pose)  # noqa: PLW2901
+        if isinstance(message, OdometryPose | LaserScan):
+            messages.append((type(message).__name__, message))
+    return list(batches(messages))
+
+
+def sideways_findings(drive: Iterable[Batch], off=(0.0, 0.0, 0.0), frame=BASE) -> dict:
+    """Return what is found with a mount in the frame that is off by m, m, rad."""
+    mount = between(frame, np.array(load("imp").make_robot().sensors["lidar"].mount)) + off
+    settings = [f"sensors.lidar.mount={mount.round(6).tolist()}"]
+    return {one.kind: one for one in diagnose(load("default", settings), drive, {})}
+
+
+def test_a_sound_robot_that_moves_sideways_has_no_findings(sideways_drive) -> None:
+    assert sideways_findings(sideways_drive) == {}
+
+
+def test_scales_of_a_robot_that_only_moves_sideways_are_not_checked() -> None:
+    frame = np.array([0.15, -0.1, math.radians(89.0)])
+    assert sideways_findings(drive_in(frame), frame=frame) == {}
+
+
+@pytest.mark.parametrize("yaw", [-0.2, 0.08, 0.8, 3.0])
+def test_the_yaw_of_a_laser_on_a_robot_that_moves_sideways_is_found(sideways_drive, yaw) -> None:
+    (finding,) = sideways_findings(sideways_drive, (0.0, 0.0, yaw)).values()
+    assert finding.kind == "lidar rotated"
+    angle = float(re.findall(r"-?\d+\.\d+", finding.fix[0])[-1])
+    assert wrap(angle + BASE[2]) == pytest.approx(0.0, abs=0.01)
+
+
+def test_the_position_of_a_laser_on_a_robot_that_moves_sideways_is_found(sideways_drive) -> None:
+    (finding,) = sideways_findings(sideways_drive, (0.2, 0.0, 0.0)).values()
+    assert finding.kind == "lidar displaced"
+    assert "base_link" in finding.what
+
+
+def test_a_mirrored_scan_of_a_robot_that_moves_sideways_is_found(sideways_drive) -> None:
+    mirrored = list(faults.faulty(sideways_drive, faults.mirrored()))
+    (finding,) = sideways_findings(mirrored, (0.0, 0.0, 0.5)).values()
+    assert finding.kind == "scan mirrored"
+    upside_down, mount = finding.fix
+    assert upside_down.endswith("upside_down=true")
+    yaw = float(re.findall(r"-?\d+\.\d+", mount)[-1])
+    assert wrap(yaw + BASE[2]) == pytest.approx(0.0, abs=0.01)

@@ -12,6 +12,13 @@ odometry):
 
     n . [u, v] = x T,    n a unit vector, x the distance of the laser ahead of the axle.
 
+Robots that move sideways have no such axle; F is then the motion ahead by odometry, and
+
+    [S, Q] = s R [u, v] + T [y, -x]
+
+with Q the sideways motion by odometry, R the rotation from the laser's frame to base_link, s the distance
+scale, and (x, y) the position of the laser in base_link.
+
 F and T have errors too. If the robot hardly turns, T is little else, and so is every factor on it. If all
 stretches are arcs of one radius, F - r T is little else. The standard deviations allow for both.
 """
@@ -47,15 +54,17 @@ class Axis(NamedTuple):
     Attributes
     ----------
     angle : rad, the beam angle that points ahead, in [-pi/2, pi/2): motion alone leaves its sense open
-    ahead : m, position of the laser in that direction, relative to the axle
+    ahead : m, position of the laser in that direction, relative to the axle, or to base_link without one
     covariance : (2, 2) of both
     inliers : share of stretches that fit
+    has_axle : whether the robot does not move sideways
     """
 
     angle: float
     ahead: float
     covariance: Array
     inliers: float
+    has_axle: bool = True
 
     def flipped(self) -> Axis:
         """Return the same axis with the opposite sense."""
@@ -84,6 +93,32 @@ def drive_axis(motions: Array) -> Axis:
         float(normal @ lever),
         covariance,
         float((weights > 0.0).mean()),
+    )
+
+
+def axis_by_odometry(motions: Array, odometry: Array) -> Axis:
+    """Estimate the axis of a robot that moves sideways, from motions over k stretches, (k, 3) m, m, rad.
+
+    `motions` of the laser are compared with those of base_link by odometry, so the sense is known.
+    """
+    u, v, turn = motions.T
+    none = np.zeros_like(turn)
+    A = np.concatenate((np.column_stack((u, v, turn, none)), np.column_stack((v, -u, none, -turn))))
+    moved = np.concatenate((odometry[:, 0], odometry[:, 1]))
+    found = fit(A, moved)
+    a, b, _, x = found.p
+    scale = math.hypot(a, b) + 1e-12
+    J = np.zeros((2, 4))
+    J[0, :2] = -b / scale**2, a / scale**2
+    J[1, :2], J[1, 3] = -x / scale**3 * found.p[:2], 1.0 / scale
+    residuals = moved - A @ found.p
+    weights = biweight(residuals, robust_sigma(residuals))
+    return Axis(
+        math.atan2(b, a),
+        x / scale,
+        J @ found.covariance @ J.T,
+        float((weights > 0.0).mean()),
+        False,
     )
 
 

@@ -12,7 +12,14 @@ from impslam.calibration.lidar_path import LidarPath, lidar_path, undistorted, u
 from impslam.calibration.recording import CalibrationRows, lidars_of
 from impslam.columns import Columns
 from impslam.config import Config
-from impslam.diagnosis.agreement import MIN_STRETCHES, Agreement, Axis, drive_axis, fit_agreement
+from impslam.diagnosis.agreement import (
+    MIN_STRETCHES,
+    Agreement,
+    Axis,
+    axis_by_odometry,
+    drive_axis,
+    fit_agreement,
+)
 from impslam.diagnosis.beam_samples import BeamSamples, beam_samples
 from impslam.diagnosis.file_order import in_file_order
 from impslam.diagnosis.timing import Timing, estimate_timing, no_timing
@@ -99,6 +106,12 @@ class Evidence:
         return moves and not (self.agreement is not None and self.agreement.is_noise)
 
     @property
+    def drives_ahead(self) -> bool:
+        """Whether odometry reports more motion ahead than sideways."""
+        ahead, sideways, _ = np.abs(self.odometry_motion).sum(axis=0)
+        return bool(ahead >= sideways)
+
+    @property
     def is_mount_given(self) -> bool:
         """Whether the config, or the log for it, gives the laser's mount."""
         return "mount" in self.config.sensors[self.name]
@@ -129,7 +142,7 @@ def gather_evidence(config: Config, name: str, recording: CalibrationRows) -> Ev
     if axis is not None:
         axle_motion = motion_along(lidar_motion, axis.angle)
         agreement = fit_agreement(axle_motion, odometry_motion, resolution)
-        if agreement.is_reversed:
+        if axis.has_axle and agreement.is_reversed:
             axis = axis.flipped()
             axle_motion = motion_along(lidar_motion, axis.angle)
             agreement = fit_agreement(axle_motion, odometry_motion, resolution)
@@ -183,10 +196,12 @@ def _known_stretches(motion: SweepMotions, odometer: Odometer, stamps: Array) ->
 
 
 def _axis(lidar_motion: Array, odometry_motion: Array, lidar: Lidar2D) -> Axis | None:
-    """Return the axis in the sense that is closer to that of the config."""
-    sideways, forward = np.abs(odometry_motion[:, 1]).sum(), np.abs(odometry_motion[:, 0]).sum()
-    if len(lidar_motion) < MIN_STRETCHES or sideways > MAX_SIDEWAYS * forward + 0.1:
+    """Return the axis; if odometry does not tell its sense, that is closer to the one of the config."""
+    if len(lidar_motion) < MIN_STRETCHES:
         return None
+    sideways, forward = np.abs(odometry_motion[:, 1]).sum(), np.abs(odometry_motion[:, 0]).sum()
+    if sideways > MAX_SIDEWAYS * forward + 0.1:
+        return axis_by_odometry(lidar_motion, odometry_motion)
     axis = drive_axis(lidar_motion)
     expected = -lidar.mount[2]  # the beam angle that points ahead
     if math.cos(axis.angle - expected) < 0.0:

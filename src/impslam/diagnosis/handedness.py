@@ -17,6 +17,7 @@ import math
 
 import numpy as np
 
+from impslam.diagnosis.agreement import axis_by_odometry
 from impslam.diagnosis.evidence import Evidence
 from impslam.diagnosis.finding import MAX_PROBABILITY, Finding
 from impslam.diagnosis.robust import CLEAR
@@ -26,6 +27,8 @@ from impslam.odometry.encoders import Encoders
 from impslam.types import Array
 
 HALF = 0.5
+MIRROR = np.array([1.0, -1.0, -1.0])
+"""Factors on a motion as a mirrored scan shows it."""
 OPPOSED_LOG = LogFault(OPPOSED)
 """Why no pose of a run with such a log can be trusted."""
 
@@ -111,7 +114,10 @@ def _unmirror_settings(e: Evidence, *, turned: bool = False) -> tuple[str, ...]:
     """Return the settings that mirror the scan, and that turn it if its axis requires it."""
     assert e.axis is not None
     fix = f"{e.lidar_key}.upside_down={str(not e.lidar.upside_down).lower()}"
-    yaw = wrap(e.axis.angle + (math.pi if turned else 0.0))
+    if e.axis.has_axle:
+        yaw = wrap(e.axis.angle + (math.pi if turned else 0.0))
+    else:
+        yaw = -axis_by_odometry(e.lidar_motion * MIRROR, e.odometry_motion).angle
     x, y, given = e.lidar.mount
     if abs(wrap(yaw - given)) < math.radians(3.0):
         return (fix,)

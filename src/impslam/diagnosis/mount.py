@@ -35,12 +35,14 @@ def check_mount(e: Evidence) -> list[Finding]:
 
 
 def _rotated(e: Evidence, yaw: float, off: float, sigma: float) -> Finding:
+    assert e.axis is not None
     x, y, _ = e.lidar.mount
     if not e.is_mount_given:
-        x = e.axis.ahead if e.axis is not None else x
+        x = e.axis.ahead
+    ahead = "the driving direction" if e.axis.has_axle else "the direction ahead by odometry"
     what = (
-        f"the lidar is rotated by {math.degrees(yaw):.2f} ± {math.degrees(sigma):.2f} deg from the driving "
-        f"direction; its mount is given as {math.degrees(e.lidar.mount[2]):.2f} deg"
+        f"the lidar is rotated by {math.degrees(yaw):.2f} ± {math.degrees(sigma):.2f} deg from {ahead}; "
+        f"its mount is given as {math.degrees(e.lidar.mount[2]):.2f} deg"
     )
     advice = _sideways(e)
     if abs(off) > math.radians(135.0):
@@ -59,24 +61,27 @@ def _rotated(e: Evidence, yaw: float, off: float, sigma: float) -> Finding:
 def _displaced(e: Evidence) -> list[Finding]:
     """Compare the laser's position ahead of the axle with its mount.
 
-    If odometry reports sideways motion, base_link need not be on the axle: its sideways motion per turn is
-    its distance ahead of the axle.
+    If odometry reports some sideways motion, base_link need not be on the axle: its sideways motion per
+    turn is its distance ahead of the axle.
     """
     assert e.axis is not None
     if any(finding.kind == RANGES for finding in check_scales(e)):
         return []  # positions are meaningful only once ranges are in metres
-    base = fit(e.odometry_motion[:, 2:], e.odometry_motion[:, 1])
     x, y, yaw = e.lidar.mount
-    ahead = e.axis.ahead - float(base.p[0])
-    sigma = math.hypot(math.sqrt(e.axis.covariance[1, 1]), float(base.sigma[0]))
+    ahead, variance = e.axis.ahead, float(e.axis.covariance[1, 1])
+    if e.axis.has_axle:
+        base = fit(e.odometry_motion[:, 2:], e.odometry_motion[:, 1])
+        ahead, variance = ahead - float(base.p[0]), variance + float(base.covariance[0, 0])
+    sigma = math.sqrt(variance)
     allowed = 3.0 * (e.lidar.sigma + e.lidar.bias)  # largest error of a range itself
     if not is_off(ahead - x, sigma, allowed):
         return []
+    origin = "the axle" if e.axis.has_axle else "base_link"
     given = f"its mount is given as {x:.3f} m" if e.is_mount_given else "its mount is unknown"
     return [
         Finding(
             "lidar displaced",
-            f"the lidar is {relative_to_axle(ahead, sigma)}; {given}",
+            f"the lidar is {ahead_of(origin, ahead, sigma)}; {given}",
             (f"{e.lidar_key}.mount=[{ahead:.3f},{y:.3f},{yaw:.3f}]",),
             probability_off(ahead - x, sigma, allowed),
             _sideways(e),
@@ -102,7 +107,7 @@ def _sideways(e: Evidence) -> str:
     return f"{kept}: the drive does not show it, so measure it"
 
 
-def relative_to_axle(ahead: float, sigma: float) -> str:
-    """Return a position ahead of the axle, or behind it if negative, with its standard deviation, m."""
+def ahead_of(origin: str, ahead: float, sigma: float) -> str:
+    """Return a position ahead of the origin, or behind it if negative, with its standard deviation, m."""
     side = "behind" if ahead < 0.0 else "ahead of"
-    return f"{abs(ahead):.3f} ± {max(sigma, 1e-3):.3f} m {side} the axle"
+    return f"{abs(ahead):.3f} ± {max(sigma, 1e-3):.3f} m {side} {origin}"

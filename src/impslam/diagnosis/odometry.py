@@ -22,7 +22,7 @@ MAX_CONTRADICTING = 0.2
 
 def check_odometry(e: Evidence) -> list[Finding]:
     """Find odometry that stands still or has no sign."""
-    if e.agreement is None:
+    if e.agreement is None or not e.drives_ahead:
         return []
     if still := _stands_still(e):
         return [still]

@@ -32,7 +32,7 @@ NO_FIX = "no setting fixes it"
 
 def check_scales(e: Evidence) -> Iterator[Finding]:
     """Find unequal wheels, and scale errors that remain without them."""
-    if e.agreement is None or not e.odometry_moves or check_handedness(e):
+    if e.agreement is None or not (e.odometry_moves and e.drives_ahead) or check_handedness(e):
         return
     agreed = e.agreement
     if any(find_unsigned(e)):

@@ -203,7 +203,7 @@ def _sum(level: Bytes, columns: Ints32, rows: Ints32, u: int, v: int, min_sum: i
         c, r = columns[i] + u, rows[i] + v
         remaining -= FULL
         if 0 <= c < width and 0 <= r < height:
-            total += level[r, c]
+            total += int(level[r, c])
         if i & 15 == 15 and total + remaining <= min_sum:
             break
     return total
@@ -219,7 +219,7 @@ def _score(pyramid: Pyramid, rotated: _Rotated, a: int, u: int, v: int) -> int:
         if 0 <= c < width and 0 <= r < height:
             direction = rotated.directions[a, i]
             known = direction < DIRECTIONS
-            total += pyramid.facing[direction, r, c] if known else pyramid.levels[0, r, c]
+            total += int(pyramid.facing[direction, r, c] if known else pyramid.levels[0, r, c])
     return total
 
 

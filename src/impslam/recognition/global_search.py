@@ -186,7 +186,7 @@ def _sum(level: Bytes, points: Ints32, first: tuple[int, int], block: int, min_s
         if -block < row < 0:
             row = 0
         if 0 <= column < width and 0 <= row < height:
-            total += level[points[i, 0], row, column]
+            total += int(level[points[i, 0], row, column])
         else:
             total += outside
         if i & 7 == 7 and total + FULL * (len(points) - 1 - i) <= min_sum:

@@ -526,6 +526,22 @@ def _with_one(column, value: float):
     return out
 
 
+@pytest.mark.parametrize("config", ["imp", "default"])
+def test_a_log_whose_scans_are_too_far_apart_is_not_compared(drive, config) -> None:
+    def thinned(columns: Columns) -> Columns:
+        return columns.take(slice(None, None, 40 if columns.kind is LaserScan else 1))
+
+    sparse = list(faults.faulty(drive, thinned))
+    findings = diagnose(load(config), sparse, {})
+    if config == "default":  # without odometry there is nothing to compare
+        assert findings == []
+        return
+    (finding,) = findings
+    assert finding.kind == "not compared"
+    assert not finding.harmful
+    assert "certain" not in str(finding)
+
+
 BASE = np.array([0.15, -0.1, math.radians(40.0)])
 """A frame on the robot; it moves sideways when the robot drives ahead."""
 

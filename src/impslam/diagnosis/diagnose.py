@@ -14,6 +14,7 @@ from impslam.diagnosis.field_of_view import check_field_of_view
 from impslam.diagnosis.finding import Finding, worst_fault
 from impslam.diagnosis.handedness import check_handedness
 from impslam.diagnosis.head import Head
+from impslam.diagnosis.motion import check_motion
 from impslam.diagnosis.mount import check_mount
 from impslam.diagnosis.no_return import check_noise, check_value
 from impslam.diagnosis.odometry import check_odometry
@@ -88,6 +89,7 @@ def _check_all(every: Sequence[Evidence], is_quick: bool) -> list[Finding]:
         sound += [] if roots else [e]
     if not sound:
         return findings
+    findings += [finding for e in sound for finding in check_motion(e)]
     reference = next((e for e in sound if e.agreement is not None), sound[0])
     if roots := _first_roots(ODOMETRY_ROOTS, reference):
         return findings + roots

@@ -196,7 +196,7 @@ def _known_stretches(motion: SweepMotions, odometer: Odometer, stamps: Array) ->
 
 
 def _axis(lidar_motion: Array, odometry_motion: Array, lidar: Lidar2D) -> Axis | None:
-    """Return the axis; if odometry does not tell its sense, that is closer to the one of the config."""
+    """Return the axis; if odometry does not tell its sense, in the sense closer to the config's."""
     if len(lidar_motion) < MIN_STRETCHES:
         return None
     sideways, forward = np.abs(odometry_motion[:, 1]).sum(), np.abs(odometry_motion[:, 0]).sum()

@@ -25,7 +25,7 @@ class Finding:
     kind : its name, the same in every log
     what : the measurement, with its standard deviation
     fix : settings for --set that fix it together, as "key=value"
-    certainty : probability that the finding is true
+    certainty : probability that the finding is true; 1 if it is no measurement
     advice : what to do if no setting fixes it, or another possible cause
     harmful : whether it makes a run worse; otherwise the finding is for information
     fault : why no pose of a run with this log can be trusted
@@ -49,7 +49,9 @@ class Finding:
         """Return the finding as one line."""
         settings = " ".join(f"--set '{one}'" if "[" in one else f"--set {one}" for one in self.fix)
         remedy = "; ".join(part for part in (settings, self.advice) if part)
-        claim = f"{self.what} ({100.0 * self.certainty:.4g} % certain)"
+        claim = self.what
+        if self.certainty < 1.0:
+            claim += f" ({100.0 * self.certainty:.4g} % certain)"
         return f"{claim}: {remedy}" if remedy else claim
 
 

@@ -12,11 +12,12 @@ odometry):
 
     n . [u, v] = x T,    n a unit vector, x the distance of the laser ahead of the axle.
 
-Robots that move sideways have no such axle; F is then the motion ahead by odometry, and
+Robots that move sideways have no such axle. Then odometry gives the direction ahead and the position of
+the laser:
 
-    [S, Q] = s R [u, v] + T [y, -x]
+    [S, Q] = s M [u, v] + T [y, -x]
 
-with Q the sideways motion by odometry, R the rotation from the laser's frame to base_link, s the distance
+with Q the sideways motion by odometry, M the rotation from the laser's frame to base_link, s the distance
 scale, and (x, y) the position of the laser in base_link.
 
 F and T have errors too. If the robot hardly turns, T is little else, and so is every factor on it. If all
@@ -53,11 +54,11 @@ class Axis(NamedTuple):
 
     Attributes
     ----------
-    angle : rad, the beam angle that points ahead, in [-pi/2, pi/2): motion alone leaves its sense open
+    angle : rad, the beam angle that points ahead; motion alone leaves its sense open, see `drive_axis`
     ahead : m, position of the laser in that direction, relative to the axle, or to base_link without one
     covariance : (2, 2) of both
     inliers : share of stretches that fit
-    has_axle : whether the robot does not move sideways
+    has_axle : False if odometry reports that the robot moves sideways
     """
 
     angle: float
@@ -72,7 +73,10 @@ class Axis(NamedTuple):
 
 
 def drive_axis(motions: Array) -> Axis:
-    """Estimate the axis from the laser's motions over k stretches, (k, 3) m, m, rad."""
+    """Estimate the axis from the laser's motions over k stretches, (k, 3) m, m, rad.
+
+    Its angle is in [-pi/2, pi/2).
+    """
     distance, turn = motions[:, :2], motions[:, 2]
     weights = np.ones(len(motions))
     for _ in range(30):

@@ -50,7 +50,7 @@ class Evidence:
     times : (k, 2) s, begin and end of stretches on the odometry's clock, where both are known
     lidar_motion, odometry_motion : (k, 3) twists over the stretches, of the laser and of base_link
     resolution : (3,) of odometry, m, m, rad; see `Odometer`
-    axis : driving direction, from the laser; None if it cannot be determined
+    axis : driving direction, from the laser, or by odometry if that moves sideways; None if unknown
     axle_motion : (k, 2) m, rad: motion of the axle by the laser, in the sense of `axis`
     agreement : fit of odometry to that; None if there is no axis
     odometry_total : m + rad, all motion by odometry, also where the laser's is unknown

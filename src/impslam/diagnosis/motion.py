@@ -9,7 +9,7 @@ from impslam.diagnosis.evidence import Evidence
 from impslam.diagnosis.finding import Finding
 
 MIN_MOTION = 5.0
-"""m + rad: odometry that moves less in all hardly fills the stretches that are needed."""
+"""m + rad: total motion by odometry below which the log is too short for a comparison."""
 
 
 def check_motion(e: Evidence) -> Iterator[Finding]:

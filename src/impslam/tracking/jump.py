@@ -41,7 +41,7 @@ MAX_INTERVAL = 0.5
 MIN_SHARE, MIN_BEAMS = 0.025, 10
 """Share of the beams, and number, that show a change. In drives past people it is below 0.02."""
 TOGETHER = 1.5
-"""s: changes within this time have one cause: points that appeared are known to be static so much later."""
+"""s: changes within this time may have one cause; that a point appeared is known `STATIC_TIME` later."""
 SIDE_BEAMS, MAX_SIDE = 4, 1.0
 """Beams on either side of a point, and m between their ends, that show the direction of its surface."""
 MAX_SCANS = 64

@@ -55,7 +55,7 @@ def older_map(submaps: Submaps) -> SurfaceMap:
 
 @kernel
 def confirmed_surfels(submaps: Submaps) -> Array:
-    """Return the surfels (n, 8) of the older map, without those that only a newest scan of poor fit shows.
+    """Return the surfels (n, 8) of the older map; see `Submaps.confirmed`.
 
     In a door, a lidar may pitch and show the floor as a wall.
     """

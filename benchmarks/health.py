@@ -1,9 +1,10 @@
 """Reliability of a run's health: kidnapped robots, faults, and clean logs.
 
-    python benchmarks/health.py --data ../shared/data --runs 30 --faults 3
+    python -m benchmarks.health --data ../shared/data --runs 30 --buildings 100 --faults 3
 
 A kidnapping joins two pieces of a log: the robot maps up to a sweep, is carried, without motion of
-odometry, to a later sweep in surroundings that it has mapped, and drives on. The faults change the sweeps
+odometry, to a later sweep in surroundings that it has mapped, and drives on. This is also done in random
+buildings (see `random_buildings`), each once. The faults change the sweeps
 of 10 s. Truth is that of the simulator, or for a recorded log the map of the whole log, so that ellipses
 cannot be tested with it. Clean logs show the rate of false reports.
 """
@@ -13,7 +14,8 @@ from __future__ import annotations
 
 import argparse
 import os
-from collections.abc import Callable
+import tempfile
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import cache
 from multiprocessing import get_context
@@ -24,6 +26,7 @@ for _library in ("OPENBLAS", "MKL", "OMP"):  # one core
     os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
 
 import numpy as np
+from benchmarks.random_buildings import nominal, random_robot, random_world
 
 from impslam.columns import Motions, Sweeps, batches
 from impslam.config import Config, load
@@ -36,9 +39,9 @@ from impslam.run import Run
 from impslam.simulation.robot import SimulatedRobot
 from impslam.simulation.simulate import simulate
 from impslam.simulation.world import load_world
-from impslam.types import Array, TruePose
+from impslam.types import Array, Message, TruePose
 
-SIMULATED = "corridor, simulated"
+SIMULATED, BUILDING = "corridor, simulated", "random building"
 LOGS = {"intel": "intel/intel.log", "fr079": "fr079/fr079.log"}
 CLEAN = {
     **LOGS,
@@ -121,7 +124,7 @@ def rows_of(sensed: Pairs) -> Pairs:
 def read(data: Path, name: str, seed: int = 0) -> Log:
     """Read a log and map it, or simulate it."""
     if name == SIMULATED:
-        return simulated(seed)
+        return corridor(seed)
     config, source = open_log(data / CLEAN[name], None, PLAIN)
     robot, sensed = config.make_robot(), []
     with source:
@@ -134,22 +137,36 @@ def read(data: Path, name: str, seed: int = 0) -> Log:
     return Log(config, pairs, known.stamps, known.path()[:, 1:])
 
 
-def simulated(seed: int) -> Log:
+def corridor(seed: int) -> Log:
     """Simulate the shipped corridor with doors, clutter and people, out and back."""
     world = load_world("corridor")
     config = load("imp", [*PLAIN, *GRAPH, f"start={list(map(float, world.robot.start))}"])
-    messages = list(simulate(world, SimulatedRobot(imu=None), seed=seed))
-    robot = config.make_robot()
-    sensed = [
+    return sensed(config, simulate(world, SimulatedRobot(imu=None), seed=seed))
+
+
+def building(seed: int) -> Log:
+    """Simulate a random robot in a random building."""
+    rng = np.random.default_rng(seed)
+    world, (_, robot) = random_world(rng), random_robot(rng)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "robot.toml"
+        path.write_text(nominal(robot))
+        config = load(str(path), PLAIN)
+    return sensed(config, simulate(world, robot, seed))
+
+
+def sensed(config: Config, simulation: Iterable[Message]) -> Log:
+    """Return the sweeps of a simulated drive with their true poses."""
+    messages, robot = list(simulation), config.make_robot()
+    parts = [
         pair
         for batch in batches((type(m).__name__, m) for m in messages)
         for pair in robot.sense(batch)
     ]
-    pairs = rows_of([*sensed, *robot.flush()])
+    pairs = rows_of([*parts, *robot.flush()])
     stamps = np.array([sweeps.columns.stamps[0] for _, sweeps in pairs])
     truth = np.array([[m.stamp, *m.pose] for m in messages if isinstance(m, TruePose)])
-    turns = np.unwrap(truth[:, 3])
-    columns = (*truth[:, 1:3].T, turns)
+    columns = (*truth[:, 1:3].T, np.unwrap(truth[:, 3]))
     poses = np.column_stack([np.interp(stamps, truth[:, 0], column) for column in columns])
     return Log(config, pairs, stamps, poses)
 
@@ -192,7 +209,7 @@ def places(log: Log, after: int, rng: np.random.Generator) -> tuple[int, int]:
 def kidnap(task: tuple[Path, str, int]) -> Kidnapping:
     """Carry a robot from one place to another, and score its reported health."""
     data, name, seed = task
-    log = read(data, name, seed % 4)
+    log = building(seed) if name == BUILDING else read(data, name, seed % 4)
     after = min(SWEEPS_AFTER, len(log.pairs) // 4)
     i, j = places(log, after, np.random.default_rng([seed, 11]))
     motions, sweeps = log.pairs[j]
@@ -379,6 +396,7 @@ def main() -> None:
     options = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
     options.add_argument("--data", type=Path, required=True)
     options.add_argument("--runs", type=int, default=30, help="kidnappings of each log")
+    options.add_argument("--buildings", type=int, default=100, help="kidnappings in random ones")
     options.add_argument("--faults", type=int, default=3, help="runs of each fault on each log")
     options.add_argument("--first", type=int, default=0, help="the first seed")
     options.add_argument("--jobs", type=int, default=1)
@@ -386,9 +404,11 @@ def main() -> None:
     data, first, logs = given.data, given.first, (*LOGS, SIMULATED)
     with get_context("spawn").Pool(given.jobs) as pool:
         print(head(*KIDNAPPED))
-        for name in logs:
-            tasks = [(data, name, first + k) for k in range(given.runs)]
-            print(kidnappings(pool.map(kidnap, tasks, chunksize=5), name), flush=True)
+        for name in (*logs, BUILDING):
+            runs = given.buildings if name == BUILDING else given.runs
+            tasks = [(data, name, first + k) for k in range(runs)]
+            if tasks:
+                print(kidnappings(pool.map(kidnap, tasks, chunksize=5), name), flush=True)
         print(head(*FAILED))
         for fault in FAULTS:
             for name in logs:

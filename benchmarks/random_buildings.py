@@ -206,6 +206,15 @@ def random_robot(rng: np.random.Generator) -> tuple[str, SimulatedRobot]:
     return name, SimulatedRobot(lidar=lidar, encoders=wheels, imu=None)
 
 
+def nominal(robot: SimulatedRobot) -> str:
+    """Return the text of a config with the nominal mount, radius and track of a robot."""
+    return (
+        'base = "default"\n[odometry]\nkind = "encoders"\n'
+        f"wheel_radius = {robot.encoders.wheel_radius}\ntrack = {robot.encoders.track}\n"
+        f"[sensors.lidar]\nmount = {list(robot.lidar.mount)}\n"
+    )
+
+
 class Live(Observer):
     """Stores the pose of each scan as it was when it came, and the health."""
 
@@ -250,11 +259,7 @@ def drive(seed: int) -> Drive:
                     true.append((message.stamp, *message.pose))
                 else:
                     writer.write(message)
-        config.write_text(
-            'base = "default"\n[odometry]\nkind = "encoders"\n'
-            f"wheel_radius = {robot.encoders.wheel_radius}\ntrack = {robot.encoders.track}\n"
-            f"[sensors.lidar]\nmount = {list(robot.lidar.mount)}\n"
-        )
+        config.write_text(nominal(robot))
         live = Live()
         settings = ["odometry.kind=lidar_only"] if is_alone else []
         known = run(log, config, settings, observers=[live])

@@ -148,7 +148,7 @@ def place_of(
     relocaliser: Relocaliser, places: Array, sought: View, truth: Array
 ) -> tuple[str, float]:
     """Return whether a map of scans at poses (k, 3) covers the view from a pose, and its score there."""
-    told = explain(relocaliser.ground, query([sought], np.zeros((1, 3))).beams, truth)
+    told = explain(relocaliser.search_map, query([sought], np.zeros((1, 3))).beams, truth)
     apart = np.hypot(*(places[:, :2] - truth[:2]).T).min()
     if told.unknown <= COVERED and apart < COVERED_RADIUS:
         return "covered", told.score

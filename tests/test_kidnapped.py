@@ -6,7 +6,7 @@ from tests.test_continuing import drive
 
 import impslam
 from impslam.geometry.se2 import compose, inverse
-from impslam.health import ASSUMED, LOST, NONE, TRACKING
+from impslam.health import ASSUMED, CHANGED, LOST, NONE, TRACKING
 
 __all__ = ["drive"]  # a fixture
 LEFT, FOUND = (
@@ -63,6 +63,24 @@ def test_a_robot_whose_view_alone_changes_is_found_where_odometry_expects_it(dri
     assert health.reasons[-1] == NONE
     assert known.keyframes.placed.all()
     assert off[LEFT + 20 :].max() < 0.1
+
+
+def test_scans_with_something_near_that_soon_leaves_are_in_doubt_and_not_mapped(drive):
+    """A flat object approaches the left side of the robot for half a second."""
+    poses, ranges = drive
+    shown, rows = ranges.copy(), slice(LEFT, LEFT + 5)
+    distances = np.linspace(0.9, 0.5, 5)[:, None]
+    left = np.flatnonzero(np.sin(ANGLES) > 0.4)
+    shown[rows, left] = np.minimum(ranges[rows, left], distances / np.sin(ANGLES[left]))
+    known, off, health = run(poses, shown)
+    assert (health.reasons[LEFT : LEFT + 10] == CHANGED).all()
+    assert not health.reasons[:LEFT].any()
+    assert not health.reasons[LEFT + 15 :].any()
+    keys, stamps = known.keyframes, health.stamps
+    meanwhile = (keys.stamps >= stamps[LEFT]) & (keys.stamps < stamps[LEFT + 10])
+    assert meanwhile.any()
+    assert not np.diff(keys.starts)[meanwhile].any()
+    assert off.max() < 0.1
 
 
 COVERED, END = 200, 470  # scans: people all around, and the end of new ground

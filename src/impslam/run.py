@@ -27,7 +27,7 @@ from impslam.diagnosis.odometry_watch import OdometryWatch
 from impslam.errors import Interrupted, SourceError, in_a_line
 from impslam.estimators.base import Draft, completed
 from impslam.geometry.se2 import compose, compose_uncertain
-from impslam.health import NO_FAULT, UNEXPLAINED, LogFault
+from impslam.health import CHANGED, NO_FAULT, UNEXPLAINED, LogFault
 from impslam.map import Keyframe, Keyframes, Map, PathRows, T_map_odom, Track
 from impslam.map_builder import MapBuilder, blended
 from impslam.observers.base import Dropped, Observer, Outcome, checked_observers
@@ -200,8 +200,8 @@ class Run:
                 observer.follow(track, path)
 
     def _observe(self, keyframe: Keyframe) -> Keyframe:
-        """Return the keyframe with its scan and observations, or as it is if the scan does not fit."""
-        if keyframe.reason == UNEXPLAINED:
+        """Return the keyframe with its scan and observations, or as it is if its scan is not trusted."""
+        if keyframe.reason in (UNEXPLAINED, CHANGED):
             return keyframe
         with self.clock("extract"):
             sweeps, row = keyframe.sweeps, keyframe.row

@@ -74,6 +74,20 @@ def test_cutting_the_scans_changes_nothing(cut):
         np.testing.assert_array_equal(joined, getattr(whole, name))
 
 
+def test_a_scan_with_much_that_is_new_is_in_doubt_until_that_is_known_to_be_static():
+    """One wall of a hall is nearer; the scan still fits the other ones."""
+    drive = poses()
+    scans = scans_from(drive, room(-6.0, 6.0, -2.0, 2.0))
+    scans[LEFT:] = scans_from(drive[LEFT:], room(-6.0, 6.0, -2.0, 0.9))
+    out = steps(ScanToMap(), odometry_of(drive), scans)
+    (at,) = np.flatnonzero(out.reasons == CARRIED)
+    assert at == LEFT + 1.0 / PERIOD
+    assert (out.reasons[LEFT:at] == CHANGED).all()
+    assert (out.amounts[LEFT:at] > 0.12).all()
+    assert not out.reasons[:LEFT].any()
+    assert not out.reasons[at + 1 :].any()
+
+
 @pytest.mark.parametrize("x", [0.6, 1.5, 3.0])
 def test_a_person_who_stood_and_is_gone_is_no_new_place(x):
     person = room(x, x + 0.3, -0.4, 0.1)[:, ::-1]

@@ -13,7 +13,7 @@ from impslam.geometry.kernels import kernel
 from impslam.health import CARRIED, CHANGED
 from impslam.tracking.base import Steps
 from impslam.tracking.beams import BeamColumns
-from impslam.tracking.jump import find_change, forget
+from impslam.tracking.jump import doubted_share, find_change, forget
 from impslam.tracking.matching_state import State
 from impslam.tracking.reference_scan import ranges_at_once
 
@@ -37,8 +37,9 @@ def notice_carried(beams: BeamColumns, k: int, state: State, duration: float, ou
     ranges = ranges_at_once(beams.ranges[k], beams.directions[k], beams.geometry)
     share, extent, confirmed = find_change(ranges, state.pose, state.time[0], past, beams.geometry)
     certain = share > MIN_SHARE and extent > MIN_EXTENT
-    if certain and out.reasons[k] < CHANGED:
-        out.reasons[k], out.amounts[k] = CHANGED, share
+    suspected = max(share if certain else 0.0, doubted_share(past))
+    if suspected > 0.0 and out.reasons[k] < CHANGED:
+        out.reasons[k], out.amounts[k] = CHANGED, suspected
     if certain and confirmed:
         proven[0] = max(proven[0], share)
     if proven[0] == 0.0 or not out.reference[k] or out.reasons[k] > CHANGED:

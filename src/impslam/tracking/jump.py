@@ -4,7 +4,7 @@ A point is static if scans a second apart, and one halfway between them, agree o
 while odometry stood still, the next scan passes through static points of the scan before, or its own points
 that prove static later lie in the free space of the scan before. People who walk past are left out, because
 they are not static. On rough ground, a lidar that pitches misses objects in a single scan, so a second scan
-has to confirm it.
+has to confirm it. Until it is known whether new points are static, a scan with many of them is in doubt.
 """
 
 from __future__ import annotations
@@ -40,6 +40,9 @@ MAX_INTERVAL = 0.5
 """s between the scans that are compared; in a longer time doors and people move."""
 MIN_SHARE, MIN_BEAMS = 0.025, 10
 """Share of the beams, and number, that show a change. In drives past people it is below 0.02."""
+MIN_DOUBTED = 0.12
+"""Share of the beams that end in the free space of the scan before, above which a scan is in doubt. In
+recorded buildings it is exceeded 3 times an hour, where people step in front of the lidar."""
 TOGETHER = 1.5
 """s: changes within this time may have one cause; that a point appeared is known `STATIC_TIME` later."""
 SIDE_BEAMS, MAX_SIDE = 4, 1.0
@@ -62,6 +65,7 @@ class PastScans(NamedTuple):
     place : (1,) the number of the place that the lidar is at; see `carried`
     box : (2, 2) m, lowest and highest x and y of the points that show the newest changes
     changed : (1,) s, time of the newest change
+    doubt : (2,) s and share of the beams: the newest scan that is in doubt
     """
 
     ranges: Array
@@ -75,6 +79,7 @@ class PastScans(NamedTuple):
     place: Ints
     box: Array
     changed: Array
+    doubt: Array
 
 
 def no_past(beams: int) -> PastScans:
@@ -91,6 +96,7 @@ def no_past(beams: int) -> PastScans:
         place=np.zeros(1, np.int64),
         box=np.zeros((2, 2)),
         changed=np.full(1, -math.inf),
+        doubt=np.array([-math.inf, 0.0]),
     )
 
 
@@ -102,7 +108,7 @@ class JumpCheck:
         self._past = PerLidar(no_past)
 
     def find(self, motions: Motions, beams: BeamColumns, sensor: str) -> tuple[Array, Mask]:
-        """Return the share (m,) of the beams that show a jump, else 0, and whether it is confirmed (m,).
+        """Return the share (m,) of the beams that may show a jump, and whether it is confirmed (m,).
 
         `motions` are those before each of these scans, since the scan of any lidar before.
         """
@@ -126,7 +132,8 @@ def _find(
         advance_pose(pose, motions.d_pose[k])
         time[0] += motions.duration[k]
         ranges = ranges_at_once(beams.ranges[k], beams.directions[k], beams.geometry)
-        shares[k], _, confirmed[k] = find_change(ranges, pose, time[0], past, beams.geometry)
+        share, _, confirmed[k] = find_change(ranges, pose, time[0], past, beams.geometry)
+        shares[k] = max(share, doubted_share(past))
 
 
 @kernel
@@ -148,10 +155,13 @@ def find_change(
     past.poses[row], past.times[row] = pose, time
     judged[0] = max(judged[0], new - MAX_SCANS + 3, past.first[0])
     share, confirmed = _vanished(new, past, geometry)
+    doubted = _changed(new, new, new - 1, past, geometry, empty_box())
+    if doubted > MIN_DOUBTED:
+        past.doubt[0], past.doubt[1] = time, doubted
     while judged[0] < new and past.times[judged[0] % MAX_SCANS] <= time - STATIC_TIME:
         scan = judged[0]
-        appeared = _changed(new, scan, scan - 1, past, geometry)
-        if appeared > 0.0 and _changed(new, scan, scan - 2, past, geometry) > 0.0:
+        appeared = _changed(new, scan, scan - 1, past, geometry, past.box)
+        if appeared > 0.0 and _changed(new, scan, scan - 2, past, geometry, past.box) > 0.0:
             share, confirmed = max(appeared, share), True
         judged[0] += 1
     if share == 0.0:
@@ -161,11 +171,18 @@ def find_change(
 
 
 @kernel
+def doubted_share(past: PastScans) -> float:
+    """Return the share of a scan in doubt, from that scan until its points are judged; else 0."""
+    now = past.times[(past.added[0] - 1) % MAX_SCANS]
+    return float(past.doubt[1]) if now < past.doubt[0] + STATIC_TIME else 0.0
+
+
+@kernel
 def forget(past: PastScans) -> None:
     """Compare later scans only with each other: the robot is elsewhere."""
     past.judged[0] = past.first[0] = past.added[0]
     past.unconfirmed[0] = -1
-    past.changed[0] = -math.inf
+    past.changed[0], past.doubt[0] = -math.inf, -math.inf
 
 
 @kernel
@@ -174,10 +191,10 @@ def _vanished(new: int, past: PastScans, geometry: Geometry) -> tuple[float, boo
     before = past.unconfirmed[0]
     if before >= 0:
         past.unconfirmed[0] = -1
-        share = _changed(_earlier(before, past), before, new, past, geometry)
+        share = _changed(_earlier(before, past), before, new, past, geometry, past.box)
         if share > 0.0:
             return share, True
-    share = _changed(_earlier(new - 1, past), new - 1, new, past, geometry)
+    share = _changed(_earlier(new - 1, past), new - 1, new, past, geometry, past.box)
     if share > 0.0:
         past.unconfirmed[0] = new - 1
     return share, False
@@ -194,18 +211,19 @@ def _earlier(scan: int, past: PastScans) -> int:
 
 
 @kernel
-def _changed(still: int, scan: int, beside: int, past: PastScans, geometry: Geometry) -> float:
+def _changed(
+    still: int, scan: int, beside: int, past: PastScans, geometry: Geometry, box: Array
+) -> float:
     """Return the share of the points of a scan that are static but not in the one beside it in time.
 
     Static are points that the scan `still` and one halfway to it show as well. It is 0 if too small, else
-    the points widen the box.
+    the points widen the box (2, 2).
     """
-    if min(still, beside) < past.first[0]:
+    interval = past.times[scan % MAX_SCANS] - past.times[beside % MAX_SCANS]
+    if min(still, beside) < past.first[0] or abs(interval) > MAX_INTERVAL:
         return 0.0
     halfway = _halfway(still, scan, past)
     still, scan, beside = still % MAX_SCANS, scan % MAX_SCANS, beside % MAX_SCANS
-    if abs(past.times[scan] - past.times[beside]) > MAX_INTERVAL:
-        return 0.0
     ranges, opposite, free = past.ranges[scan], past.ranges[beside], past.free[beside]
     to_still = laser_motion(past.poses[still], past.poses[scan], geometry)
     to_halfway = laser_motion(past.poses[halfway], past.poses[scan], geometry)
@@ -213,7 +231,7 @@ def _changed(still: int, scan: int, beside: int, past: PastScans, geometry: Geom
     view, laser = _view(to_beside, geometry), past.poses[scan].copy()
     advance_pose(laser, geometry.laser)
     heading = _direction(laser[2])
-    changed, count, box = 0, 0, empty_box()
+    changed, count, around = 0, 0, empty_box()
     ahead, step = _direction(geometry.first), _direction(geometry.spacing)
     for i in range(len(ranges)):
         beam, ahead = ahead, _turned(ahead, step)
@@ -232,13 +250,12 @@ def _changed(still: int, scan: int, beside: int, past: PastScans, geometry: Geom
         ):
             changed += 1
             end = _turned((ranges[i] * beam[0], ranges[i] * beam[1]), heading)
-            widen(box, laser[0] + end[0], laser[1] + end[1])
-    share = changed / max(count, 1)
-    if changed < MIN_BEAMS or share <= MIN_SHARE:
+            widen(around, laser[0] + end[0], laser[1] + end[1])
+    if changed < MIN_BEAMS or changed <= MIN_SHARE * count:
         return 0.0
-    for corner in box:
-        widen(past.box, corner[0], corner[1])
-    return share
+    for corner in around:
+        widen(box, corner[0], corner[1])
+    return changed / count
 
 
 @kernel

@@ -278,6 +278,7 @@ FAULTS: dict[str, Callable[[tuple[Motions, Sweeps]], tuple[Motions, Sweeps]] | N
     "40 % of the beams blocked": blocked,
     "odometry frozen": lambda pair: moved(0.0, pair),
     "wheels slip, twice the way": lambda pair: moved(2.0, pair),
+    "wheels slip, half of the way": lambda pair: moved(0.5, pair),
     "wheels turn against a wall": None,
 }
 
@@ -303,7 +304,8 @@ class Faulty(NamedTuple):
 def fail(task: tuple[Path, str, str, int]) -> Faulty:
     """Run a log with a fault of `SECONDS` at a random time."""
     data, name, fault, seed = task
-    log, rng = read(data, name, seed), np.random.default_rng([seed, 12])
+    log = building(seed) if name == BUILDING else read(data, name, seed)
+    rng = np.random.default_rng([seed, 12])
     begin = int(rng.integers(len(log.pairs) // 5, 4 * len(log.pairs) // 5))
     rows = max(1, int(SECONDS / np.median(np.abs(np.diff(log.stamps)))))
     change, truth = FAULTS[fault], log.poses
@@ -396,7 +398,12 @@ def main() -> None:
     options = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
     options.add_argument("--data", type=Path, required=True)
     options.add_argument("--runs", type=int, default=30, help="kidnappings of each log")
-    options.add_argument("--buildings", type=int, default=100, help="kidnappings in random ones")
+    options.add_argument(
+        "--buildings",
+        type=int,
+        default=100,
+        help="kidnappings in random ones, and five times the runs of each fault there",
+    )
     options.add_argument("--faults", type=int, default=3, help="runs of each fault on each log")
     options.add_argument("--first", type=int, default=0, help="the first seed")
     options.add_argument("--jobs", type=int, default=1)
@@ -411,8 +418,9 @@ def main() -> None:
                 print(kidnappings(pool.map(kidnap, tasks, chunksize=5), name), flush=True)
         print(head(*FAILED))
         for fault in FAULTS:
-            for name in logs:
-                ways = [(data, name, fault, first + k) for k in range(given.faults)]
+            for name in (*logs, BUILDING):
+                runs = given.buildings // 5 if name == BUILDING else given.faults
+                ways = [(data, name, fault, first + k) for k in range(runs)]
                 print(faults(pool.map(fail, ways, chunksize=5), fault, name), flush=True)
     print(head("clean log", "time", "scans", "suspected", "LOST", "DEGRADED"))
     for name in CLEAN:

@@ -233,6 +233,12 @@ def turns_oppose(turns: Array, odometry: float, scans: float) -> bool:
 
 
 @kernel
+def is_disputed(faults: MatchFaults) -> bool:
+    """Return whether the newest matches show another motion than odometry."""
+    return SLIPPED <= int(faults.newest[0]) <= STALLED
+
+
+@kernel
 def current_fault(faults: MatchFaults, duration: float) -> tuple[int, float]:
     """Return the newest match's reason and amount for an unmatched scan `duration` s after it."""
     if duration > WINDOW or faults.newest[0] == NONE:

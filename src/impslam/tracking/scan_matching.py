@@ -43,6 +43,7 @@ from impslam.tracking.match_faults import (
     current_fault,
     disputed_variance,
     fits_poorly,
+    is_disputed,
 )
 from impslam.tracking.match_information import add_along, add_drift, information, remove_spurious
 from impslam.tracking.matching_state import ScanMatch, Settings, State
@@ -64,6 +65,9 @@ odometry does."""
 MIN_INFORMATION_RATIO = 0.05
 """Smallest ratio of the information along the weakest and the strongest axis: a twentieth of the points
 face along a corridor whose end is in view; fewer are lone points that may be anywhere."""
+DISPUTED_SHARE = 0.5
+"""Standard deviation of odometry while scans show another motion, as a share of its own: wheels that slip
+report about twice the motion, and those that are dragged less than all of it."""
 MEMORY = 0.3, 0.01
 """Weights of the newest scan in the running means of the inlier share, and of the time between sweeps
 without odometry."""
@@ -203,6 +207,9 @@ def _predict(motions: Motions, k: int, state: State, d_pose: Array) -> bool:
     state.stamp[0] = motions.stamps[k]
     if not no_odometry:
         position, heading = variances(state.odometry, state.travelled[0], state.travelled[1])
+        if is_disputed(state.faults):
+            position += (DISPUTED_SHARE * state.travelled[0]) ** 2
+            heading += (DISPUTED_SHARE * state.travelled[1]) ** 2
     state.prior[0], state.prior[1] = position, heading
     advance_pose(state.pose, d_pose)
     advance(state.motion, state.covariance, d_pose, covariance)

@@ -201,7 +201,8 @@ class Run:
 
     def _observe(self, keyframe: Keyframe) -> Keyframe:
         """Return the keyframe with its scan and observations, or as it is if its scan is not trusted."""
-        if keyframe.reason in (UNEXPLAINED, CHANGED):
+        doubted = keyframe.reason == CHANGED and self.tracker.matches_scans
+        if keyframe.reason == UNEXPLAINED or doubted:
             return keyframe
         with self.clock("extract"):
             sweeps, row = keyframe.sweeps, keyframe.row

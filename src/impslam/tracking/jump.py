@@ -65,7 +65,8 @@ class PastScans(NamedTuple):
     place : (1,) the number of the place that the lidar is at; see `carried`
     box : (2, 2) m, lowest and highest x and y of the points that show the newest changes
     changed : (1,) s, time of the newest change
-    doubt : (2,) s and share of the beams: the newest scan that is in doubt
+    doubt : (3,) s and share of the beams of the newest scan with which a doubt began; and s, time of the
+        newest scan with as many new points
     """
 
     ranges: Array
@@ -96,7 +97,7 @@ def no_past(beams: int) -> PastScans:
         place=np.zeros(1, np.int64),
         box=np.zeros((2, 2)),
         changed=np.full(1, -math.inf),
-        doubt=np.array([-math.inf, 0.0]),
+        doubt=np.array([-math.inf, 0.0, -math.inf]),
     )
 
 
@@ -108,7 +109,7 @@ class JumpCheck:
         self._past = PerLidar(no_past)
 
     def find(self, motions: Motions, beams: BeamColumns, sensor: str) -> tuple[Array, Mask]:
-        """Return the share (m,) of the beams that may show a jump, and whether it is confirmed (m,).
+        """Return the share (m,) of the beams that show a jump, else 0, and whether it is confirmed (m,).
 
         `motions` are those before each of these scans, since the scan of any lidar before.
         """
@@ -132,8 +133,7 @@ def _find(
         advance_pose(pose, motions.d_pose[k])
         time[0] += motions.duration[k]
         ranges = ranges_at_once(beams.ranges[k], beams.directions[k], beams.geometry)
-        share, _, confirmed[k] = find_change(ranges, pose, time[0], past, beams.geometry)
-        shares[k] = max(share, doubted_share(past))
+        shares[k], _, confirmed[k] = find_change(ranges, pose, time[0], past, beams.geometry)
 
 
 @kernel
@@ -155,9 +155,7 @@ def find_change(
     past.poses[row], past.times[row] = pose, time
     judged[0] = max(judged[0], new - MAX_SCANS + 3, past.first[0])
     share, confirmed = _vanished(new, past, geometry)
-    doubted = _changed(new, new, new - 1, past, geometry, empty_box())
-    if doubted > MIN_DOUBTED:
-        past.doubt[0], past.doubt[1] = time, doubted
+    _doubt(new, past, geometry)
     while judged[0] < new and past.times[judged[0] % MAX_SCANS] <= time - STATIC_TIME:
         scan = judged[0]
         appeared = _changed(new, scan, scan - 1, past, geometry, past.box)
@@ -168,6 +166,18 @@ def find_change(
         return 0.0, 0.0, False
     past.changed[0] = time
     return share, diagonal(past.box), confirmed
+
+
+@kernel
+def _doubt(new: int, past: PastScans, geometry: Geometry) -> None:
+    """Begin a doubt if much of the newest scan is new, unless it was for each scan, as with bad matches."""
+    share = _changed(new, new, new - 1, past, geometry, empty_box())
+    time = past.times[new % MAX_SCANS]
+    if share <= MIN_DOUBTED:
+        return
+    if time > past.doubt[2] + STATIC_TIME:
+        past.doubt[0], past.doubt[1] = time, share
+    past.doubt[2] = time
 
 
 @kernel
@@ -182,7 +192,7 @@ def forget(past: PastScans) -> None:
     """Compare later scans only with each other: the robot is elsewhere."""
     past.judged[0] = past.first[0] = past.added[0]
     past.unconfirmed[0] = -1
-    past.changed[0], past.doubt[0] = -math.inf, -math.inf
+    past.changed[0] = past.doubt[0] = past.doubt[2] = -math.inf
 
 
 @kernel

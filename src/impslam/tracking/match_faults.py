@@ -234,8 +234,8 @@ def turns_oppose(turns: Array, odometry: float, scans: float) -> bool:
 
 @kernel
 def is_disputed(faults: MatchFaults) -> bool:
-    """Return whether the newest matches show another motion than odometry."""
-    return SLIPPED <= int(faults.newest[0]) <= STALLED
+    """Return whether the newest matches show another motion than odometry, and neither of them stands."""
+    return int(faults.newest[0]) == SLIPPED
 
 
 @kernel

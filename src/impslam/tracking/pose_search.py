@@ -41,14 +41,14 @@ def find_pose(features: Features, state: State, settings: Settings, H: Array, W:
     both in the frame of the submaps.
     """
     submap, usual = older_map(state.submaps), state.averages[0]
-    position, heading = state.prior[0], state.prior[1]
+    position, heading = state.prior + state.disputed
     prior = np.array([1.0 / position, 1.0 / position, 1.0 / heading])
     slack2 = max(SLIP_SIGMAS**2, min(MIN_SLIP[0] ** 2 / position, MIN_SLIP[1] ** 2 / heading))
     weight = settings.match.information * min(1.0, max(usual, 0.05) / USUAL_SHARE) ** 4
     weight *= min(1.0, USUAL_RMS**2 / state.averages[1])
     how = settings.match
     match = Alignment(how.iterations, how.wide, how.narrow, weight, how.step, slack2)
-    predicted = _predictions(state, prior)
+    predicted = _predictions(state)
     share = align(submap, features, state.pose, prior, match, state.evidence)
     if not is_expected(state.pose, predicted):
         share = align_from_predictions(
@@ -66,9 +66,11 @@ def find_pose(features: Features, state: State, settings: Settings, H: Array, W:
 
 
 @kernel
-def _predictions(state: State, prior: Array) -> PosePrediction:
-    """Return the predicted poses of a scan; `prior` (3,) is the information of that by odometry."""
+def _predictions(state: State) -> PosePrediction:
+    """Return the predicted poses of a scan."""
     pose, usual = state.pose.copy(), state.averages[0]
+    position, heading = state.prior
+    prior = np.array([1.0 / position, 1.0 / position, 1.0 / heading])
     if is_after_gap(state):
         return PosePrediction(pose, prior, pose, pose, usual)
     extrapolated = state.matched.copy()

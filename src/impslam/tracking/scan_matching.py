@@ -207,10 +207,11 @@ def _predict(motions: Motions, k: int, state: State, d_pose: Array) -> bool:
     state.stamp[0] = motions.stamps[k]
     if not no_odometry:
         position, heading = variances(state.odometry, state.travelled[0], state.travelled[1])
-        if is_disputed(state.faults):
-            position += (DISPUTED_SHARE * state.travelled[0]) ** 2
-            heading += (DISPUTED_SHARE * state.travelled[1]) ** 2
     state.prior[0], state.prior[1] = position, heading
+    state.disputed[:] = 0.0
+    if not no_odometry and is_disputed(state.faults):
+        state.disputed[0] = (DISPUTED_SHARE * state.travelled[0]) ** 2
+        state.disputed[1] = (DISPUTED_SHARE * state.travelled[1]) ** 2
     advance_pose(state.pose, d_pose)
     advance(state.motion, state.covariance, d_pose, covariance)
     widen_after_gap(state, before, no_odometry)
@@ -308,7 +309,9 @@ def _move(
     covariance = rotate_covariance(state.covariance, state.matched[2])
     fuse(state, settings, match.guess, match.H, match.W, covariance)
     between(state.matched, state.pose, state.velocity)
-    far = match.W[0] * state.prior[0] < 0.1  # beyond three times the range of full weight
+    far = (
+        match.W[0] * (state.prior[0] + state.disputed[0]) < 0.1
+    )  # beyond three times the range of full weight
     if no_odometry:
         coast(state, out.located[k], weakest, axis)
     odometry_motion = state.velocity if no_odometry else state.motion

@@ -308,8 +308,11 @@ def main() -> None:
     options = parser.parse_args()
     simulated = [of_world(name) for name in WORLDS]
     if not options.sound:
-        table([*simulated, *(of_file(options.data, *log, FEWER) for log in LOGS)], options.only)
-    sound([*simulated, *(of_file(options.data, *log) for log in SOUND)])
+        table(
+            [*simulated, *(of_file(options.data, path, preset, FEWER) for path, preset in LOGS)],
+            options.only,
+        )
+    sound([*simulated, *(of_file(options.data, path, preset) for path, preset in SOUND)])
 
 
 if __name__ == "__main__":

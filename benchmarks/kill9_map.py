@@ -53,7 +53,7 @@ def live(folder: Path, period: float, sender: Connection) -> None:
         sender.send(station.mapper.status().steps)
         return path
 
-    station.mapper.save_map = save_and_report  # type: ignore[method-assign]
+    station.mapper.save_map = save_and_report
     station.start()
     station.begin(record=True, map_=True)
     while station.mapper.status().state == "compiling":
@@ -62,7 +62,7 @@ def live(folder: Path, period: float, sender: Connection) -> None:
     begin, first = now(), readings[0].stamp
     for message in readings:
         time.sleep(max(0.0, begin + (message.stamp - first) / SPEEDUP - now()))
-        station._receive(Reading(message, now(), "robot"))
+        station.receive(Reading(message, now(), "robot"))
     time.sleep(60.0)
 
 

@@ -26,6 +26,7 @@ for _library in ("OPENBLAS", "MKL", "OMP"):  # one core
 import numpy as np
 
 from impslam.config import load
+from impslam.estimators.landmarks import Landmarks
 from impslam.map import Keyframe, PathRows, Revision, Track
 from impslam.observers.live_view import LiveView
 from impslam.platform.devices.base import now
@@ -172,6 +173,7 @@ def map_live(seconds: float) -> None:
 def read_landmarks() -> None:
     for count in (10, 100, 1000):
         estimator = load("imp").make_estimator()
+        assert isinstance(estimator, Landmarks)
         places = np.random.default_rng(0).uniform(0.0, 100.0, (count, 2))
         seen = [Observation("cylinder", place, np.eye(2) * 1e-4) for place in places]
         estimator._filter.extend(seen, 0.0)

@@ -26,6 +26,7 @@ import numpy as np
 from impslam.columns import batches
 from impslam.config import load
 from impslam.filters import belief
+from impslam.filters.blas import subtract_product
 from impslam.geometry.kernels import Kernel
 from impslam.run import Run
 from impslam.simulation.robot import Lidar, SimulatedRobot
@@ -52,7 +53,7 @@ class Kernels:
                 for key, value in list(vars(module).items()):
                     if isinstance(value, Kernel):
                         setattr(module, key, self._timed(value))
-        belief.subtract_product = self._timed(belief.subtract_product)
+        setattr(belief, subtract_product.__name__, self._timed(subtract_product))
 
     def _timed(self, function: Callable[..., Any]) -> Callable[..., Any]:
         def timed(*args: Any, **named: Any) -> Any:

@@ -28,6 +28,8 @@ sys.path.insert(0, str(ROOT))
 from benchmarks import outdoor, real_logs  # noqa: E402  found from the root of the project
 from benchmarks.arena import arena  # noqa: E402
 
+from impslam.evaluation.relations import RelationErrors  # noqa: E402
+
 RUNS = ROOT / "runs" / "results"
 PAGES = [ROOT / "README.md", ROOT / "docs" / "results.md"]
 SIZE = 1000  # px of a picture, the longer side
@@ -174,7 +176,7 @@ def car(name: str) -> Callable[[Path], str]:
     return scored
 
 
-def spread(errors: real_logs.RelationErrors, digits: int = 3) -> str:
+def spread(errors: RelationErrors, digits: int = 3) -> str:
     """Return mean and standard deviation in the format of the suite's tables."""
     m, degrees = errors.translation, np.degrees(errors.rotation)
     return (

@@ -18,6 +18,7 @@ import threading
 import time
 from collections import defaultdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -33,7 +34,7 @@ MESSAGE = {"autopilot": "WheelAngles", "lidar": "LaserScan", "camera": "Image"}
 PERIOD = {"autopilot": 0.01, "lidar": 0.1, "camera": 0.2}
 ROW = {"autopilot": 10, "lidar": 3, "camera": 2}  # messages in a row that are recovery
 
-FAULTS = {
+FAULTS: dict[str, dict[str, dict[str, Any]]] = {
     "autopilot": {
         "noise 1 % of bytes, 0.3 s": {"fault": "noise", "rate": 0.01, "seconds": 0.3},
         "noise 30 % of bytes, 0.3 s": {"fault": "noise", "rate": 0.3, "seconds": 0.3},

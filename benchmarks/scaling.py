@@ -39,11 +39,11 @@ def driven(log: list[tuple[str, Message]], times: int) -> Iterator[tuple[str, Me
         pose = last if pose is None else pose
         for stream, message in rows:
             stamp = start + abs(message.stamp - origin)
-            changed = replace(message, stamp=stamp)
             if isinstance(message, OdometryPose):
                 pose, last = compose(pose, between(last, message.pose)), message.pose
-                changed = replace(changed, pose=pose)
-            yield stream, changed
+                yield stream, replace(message, stamp=stamp, pose=pose)
+            else:
+                yield stream, replace(message, stamp=stamp)
         start = stamp + BREAK
 
 

@@ -234,7 +234,7 @@ def turns_oppose(turns: Array, odometry: float, scans: float) -> bool:
 
 @kernel
 def is_disputed(faults: MatchFaults) -> bool:
-    """Return whether the newest matches show another motion than odometry, and neither of them stands."""
+    """Return whether wheels slip: by the newest matches, the robot moves otherwise than by odometry."""
     return int(faults.newest[0]) == SLIPPED
 
 

@@ -309,9 +309,8 @@ def _move(
     covariance = rotate_covariance(state.covariance, state.matched[2])
     fuse(state, settings, match.guess, match.H, match.W, covariance)
     between(state.matched, state.pose, state.velocity)
-    far = (
-        match.W[0] * (state.prior[0] + state.disputed[0]) < 0.1
-    )  # beyond three times the range of full weight
+    weight = match.W[0] * (state.prior[0] + state.disputed[0])
+    far = weight < 0.1  # beyond three times the range of full weight
     if no_odometry:
         coast(state, out.located[k], weakest, axis)
     odometry_motion = state.velocity if no_odometry else state.motion

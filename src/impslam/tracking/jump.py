@@ -41,8 +41,8 @@ MAX_INTERVAL = 0.5
 MIN_SHARE, MIN_BEAMS = 0.025, 10
 """Share of the beams, and number, that show a change. In drives past people it is below 0.02."""
 MIN_DOUBTED = 0.12
-"""Share of the beams that end in the free space of the scan before, above which a scan is in doubt. In
-recorded buildings it is exceeded 3 times an hour, where people step in front of the lidar."""
+"""Share of the beams that end in the free space of the scan before, above which a scan is in doubt. In two
+hours of recorded drives it is exceeded four times, where people step in front of the lidar."""
 TOGETHER = 1.5
 """s: changes within this time may have one cause; that a point appeared is known `STATIC_TIME` later."""
 SIDE_BEAMS, MAX_SIDE = 4, 1.0

@@ -37,7 +37,7 @@ def notice_carried(beams: BeamColumns, k: int, state: State, duration: float, ou
     ranges = ranges_at_once(beams.ranges[k], beams.directions[k], beams.geometry)
     share, extent, confirmed = find_change(ranges, state.pose, state.time[0], past, beams.geometry)
     certain = share > MIN_SHARE and extent > MIN_EXTENT
-    suspected = max(share if certain else 0.0, doubted_share(past))
+    suspected = max(share if certain else 0.0, doubted_share(past, beams.geometry))
     if suspected > 0.0 and out.reasons[k] < CHANGED:
         out.reasons[k], out.amounts[k] = CHANGED, suspected
     if certain and confirmed:

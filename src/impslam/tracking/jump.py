@@ -155,7 +155,6 @@ def find_change(
     past.poses[row], past.times[row] = pose, time
     judged[0] = max(judged[0], new - MAX_SCANS + 3, past.first[0])
     share, confirmed = _vanished(new, past, geometry)
-    _doubt(new, past, geometry)
     while judged[0] < new and past.times[judged[0] % MAX_SCANS] <= time - STATIC_TIME:
         scan = judged[0]
         appeared = _changed(new, scan, scan - 1, past, geometry, past.box)
@@ -169,22 +168,19 @@ def find_change(
 
 
 @kernel
-def _doubt(new: int, past: PastScans, geometry: Geometry) -> None:
-    """Begin a doubt if much of the newest scan is new, unless it was for each scan, as with bad matches."""
+def doubted_share(past: PastScans, geometry: Geometry) -> float:
+    """Return the share of a scan in doubt, from that scan until its points are judged; else 0.
+
+    A doubt begins if much of the newest scan is new, unless it was for each scan, as with bad matches.
+    """
+    new = past.added[0] - 1
     share = _changed(new, new, new - 1, past, geometry, empty_box())
-    time = past.times[new % MAX_SCANS]
-    if share <= MIN_DOUBTED:
-        return
-    if time > past.doubt[2] + STATIC_TIME:
-        past.doubt[0], past.doubt[1] = time, share
-    past.doubt[2] = time
-
-
-@kernel
-def doubted_share(past: PastScans) -> float:
-    """Return the share of a scan in doubt, from that scan until its points are judged; else 0."""
-    now = past.times[(past.added[0] - 1) % MAX_SCANS]
-    return float(past.doubt[1]) if now < past.doubt[0] + STATIC_TIME else 0.0
+    time, doubt = past.times[new % MAX_SCANS], past.doubt
+    if share > MIN_DOUBTED:
+        if time > doubt[2] + STATIC_TIME:
+            doubt[0], doubt[1] = time, share
+        doubt[2] = time
+    return float(doubt[1]) if time < doubt[0] + STATIC_TIME else 0.0
 
 
 @kernel

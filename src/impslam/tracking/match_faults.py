@@ -233,7 +233,7 @@ def turns_oppose(turns: Array, odometry: float, scans: float) -> bool:
 
 
 @kernel
-def is_disputed(faults: MatchFaults) -> bool:
+def is_slipping(faults: MatchFaults) -> bool:
     """Return whether wheels slip: by the newest matches, the robot moves otherwise than by odometry."""
     return int(faults.newest[0]) == SLIPPED
 

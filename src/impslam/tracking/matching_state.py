@@ -75,7 +75,7 @@ class State(NamedTuple):
     intervals : (3,) statistics of those by odometry; see `no_intervals`
     velocity : (3,) motion between the last two matches
     prior : (2,) variances of the predicted pose: m^2 along each axis, rad^2
-    disputed : (2,) those that are added for the match while scans show another motion than odometry
+    slip : (2,) what is added to them for the match while wheels slip
     reach : (2,) m, rad around the predicted pose in which the robot may be, after a gap that odometry does
         not cover, until a scan is matched; else 0
     frozen : whether odometry is frozen
@@ -103,7 +103,7 @@ class State(NamedTuple):
     intervals: Array
     velocity: Array
     prior: Array
-    disputed: Array
+    slip: Array
     reach: Array
     frozen: FrozenOdometry
     unlocated: Array

@@ -41,8 +41,8 @@ def find_pose(features: Features, state: State, settings: Settings, H: Array, W:
     both in the frame of the submaps.
     """
     submap, usual = older_map(state.submaps), state.averages[0]
-    position, heading = state.prior + state.disputed
-    prior = np.array([1.0 / position, 1.0 / position, 1.0 / heading])
+    position, heading = state.prior + state.slip
+    prior = _information(position, heading)
     slack2 = max(SLIP_SIGMAS**2, min(MIN_SLIP[0] ** 2 / position, MIN_SLIP[1] ** 2 / heading))
     weight = settings.match.information * min(1.0, max(usual, 0.05) / USUAL_SHARE) ** 4
     weight *= min(1.0, USUAL_RMS**2 / state.averages[1])
@@ -66,11 +66,16 @@ def find_pose(features: Features, state: State, settings: Settings, H: Array, W:
 
 
 @kernel
+def _information(position: float, heading: float) -> Array:
+    """Return the information (3,) of a pose from the variances along each axis and of its heading."""
+    return np.array([1.0 / position, 1.0 / position, 1.0 / heading])
+
+
+@kernel
 def _predictions(state: State) -> PosePrediction:
     """Return the predicted poses of a scan."""
     pose, usual = state.pose.copy(), state.averages[0]
-    position, heading = state.prior
-    prior = np.array([1.0 / position, 1.0 / position, 1.0 / heading])
+    prior = _information(state.prior[0], state.prior[1])
     if is_after_gap(state):
         return PosePrediction(pose, prior, pose, pose, usual)
     extrapolated = state.matched.copy()

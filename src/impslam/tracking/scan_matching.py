@@ -43,7 +43,7 @@ from impslam.tracking.match_faults import (
     current_fault,
     disputed_variance,
     fits_poorly,
-    is_disputed,
+    is_slipping,
 )
 from impslam.tracking.match_information import add_along, add_drift, information, remove_spurious
 from impslam.tracking.matching_state import ScanMatch, Settings, State
@@ -65,9 +65,9 @@ odometry does."""
 MIN_INFORMATION_RATIO = 0.05
 """Smallest ratio of the information along the weakest and the strongest axis: a twentieth of the points
 face along a corridor whose end is in view; fewer are lone points that may be anywhere."""
-DISPUTED_SHARE = 0.5
-"""Standard deviation of odometry while scans show another motion, as a share of its own: wheels that slip
-report about twice the motion, and those that are dragged less than all of it."""
+SLIP_SHARE = 0.5
+"""Additional standard deviation of odometry while wheels slip, as a share of the motion: they report about
+twice the motion, or less than all of it if they are dragged."""
 MEMORY = 0.3, 0.01
 """Weights of the newest scan in the running means of the inlier share, and of the time between sweeps
 without odometry."""
@@ -208,10 +208,10 @@ def _predict(motions: Motions, k: int, state: State, d_pose: Array) -> bool:
     if not no_odometry:
         position, heading = variances(state.odometry, state.travelled[0], state.travelled[1])
     state.prior[0], state.prior[1] = position, heading
-    state.disputed[:] = 0.0
-    if not no_odometry and is_disputed(state.faults):
-        state.disputed[0] = (DISPUTED_SHARE * state.travelled[0]) ** 2
-        state.disputed[1] = (DISPUTED_SHARE * state.travelled[1]) ** 2
+    state.slip[:] = 0.0
+    if not no_odometry and is_slipping(state.faults):
+        state.slip[0] = (SLIP_SHARE * state.travelled[0]) ** 2
+        state.slip[1] = (SLIP_SHARE * state.travelled[1]) ** 2
     advance_pose(state.pose, d_pose)
     advance(state.motion, state.covariance, d_pose, covariance)
     widen_after_gap(state, before, no_odometry)
@@ -309,7 +309,7 @@ def _move(
     covariance = rotate_covariance(state.covariance, state.matched[2])
     fuse(state, settings, match.guess, match.H, match.W, covariance)
     between(state.matched, state.pose, state.velocity)
-    weight = match.W[0] * (state.prior[0] + state.disputed[0])
+    weight = match.W[0] * (state.prior[0] + state.slip[0])
     far = weight < 0.1  # beyond three times the range of full weight
     if no_odometry:
         coast(state, out.located[k], weakest, axis)

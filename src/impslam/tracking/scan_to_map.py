@@ -88,7 +88,7 @@ class ScanToMap(Tracker):
             intervals=no_intervals(),
             velocity=np.zeros(3),
             prior=np.zeros(2),
-            disputed=np.zeros(2),
+            slip=np.zeros(2),
             reach=np.zeros(2),
             frozen=FrozenOdometry(np.zeros(1, np.bool_), np.zeros(1), np.zeros(1)),
             unlocated=np.zeros(1),

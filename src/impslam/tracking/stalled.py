@@ -28,7 +28,7 @@ def predict_stalled(beams: BeamColumns, k: int, state: State) -> bool:
     if not notice_stall(state.motion, beams, k, stall):
         return False
     state.pose[:] = stall.pose
-    state.prior[:], state.disputed[:] = STALL_SIGMA**2, 0.0
+    state.prior[:], state.slip[:] = STALL_SIGMA**2, 0.0
     return True
 
 

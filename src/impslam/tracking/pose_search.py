@@ -7,7 +7,7 @@ import numpy as np
 from impslam.geometry.chain import advance_pose
 from impslam.geometry.kernels import kernel
 from impslam.surfaces.features import Features
-from impslam.surfaces.surface_map import Alignment, align
+from impslam.surfaces.surface_map import Alignment, SurfaceMap, align, no_evidence
 from impslam.tracking.hypotheses import (
     SLIP_SIGMAS,
     PosePrediction,
@@ -29,13 +29,16 @@ USUAL_SHARE = 0.8
 """Inlier share of scans indoors; below, information falls with its fourth power: people, bushes, a ramp."""
 USUAL_RMS = 0.02
 """m, root mean square distance from the surfaces indoors; above, information falls with its square."""
-RMS_MEMORY = 0.2
-"""Weight of the newest scan in the running mean of the squared distance."""
+PULLED_SHARE = 0.85
+"""Share of the best inlier share below which odometry pulls a scan away from where it fits. On a ramp,
+where scans mislead and odometry is right, one scan in a thousand has less."""
+SHARE_MEMORY, RMS_MEMORY = 0.3, 0.2
+"""Weights of the newest scan in the running means of the inlier share and of the squared distance."""
 
 
 @kernel
 def find_pose(features: Features, state: State, settings: Settings, H: Array, W: Array) -> float:
-    """Move the pose to the best fit of the scan; return the inlier share.
+    """Move the pose to the best fit of the scan, update the means of share and distance; return the share.
 
     H (3, 3) becomes the information of the scan, W (3,) that of the prior with its robust weight there,
     both in the frame of the submaps.
@@ -48,6 +51,7 @@ def find_pose(features: Features, state: State, settings: Settings, H: Array, W:
     weight *= min(1.0, USUAL_RMS**2 / state.averages[1])
     how = settings.match
     match = Alignment(how.iterations, how.wide, how.narrow, weight, how.step, slack2)
+    trusted = Alignment(how.iterations, how.wide, how.narrow, how.information, how.step, slack2)
     predicted = _predictions(state)
     share = align(submap, features, state.pose, prior, match, state.evidence)
     if not is_expected(state.pose, predicted):
@@ -59,10 +63,33 @@ def find_pose(features: Features, state: State, settings: Settings, H: Array, W:
         state.averages[1] += RMS_MEMORY * (square - state.averages[1])
     if share < SEARCH_BELOW * usual:
         share = search(submap, features, predicted, match, state.pose, state.evidence)
+    usable = _usable_share(submap, features, predicted, trusted, share)
+    state.averages[0] += SHARE_MEMORY * (usable - usual)
     chi2 = chi2_of(state.pose, predicted)
     H[:] = weight * state.evidence.H
     W[:] = prior / (1.0 + chi2 / slack2)
     return share
+
+
+@kernel
+def _usable_share(
+    submap: SurfaceMap,
+    features: Features,
+    predicted: PosePrediction,
+    trusted: Alignment,
+    share: float,
+) -> float:
+    """Return the inlier share that counts for the information of the next scans; `share` is that found.
+
+    Wrong odometry pulls a scan of low information away from where it fits. Its share is small there, and if
+    that counted, the next scans would have even less information, and could never correct odometry. So the
+    share that counts then is the one after `trusted` alignment.
+    """
+    if predicted.usual >= USUAL_SHARE:
+        return share
+    pose, evidence = predicted.pose.copy(), no_evidence()
+    best = align(submap, features, pose, predicted.information, trusted, evidence)
+    return best if share < PULLED_SHARE * best else share
 
 
 @kernel

@@ -68,9 +68,8 @@ face along a corridor whose end is in view; fewer are lone points that may be an
 SLIP_SHARE = 0.5
 """Additional standard deviation of odometry while wheels slip, as a share of the motion: they report about
 twice the motion, or less than all of it if they are dragged."""
-MEMORY = 0.3, 0.01
-"""Weights of the newest scan in the running means of the inlier share, and of the time between sweeps
-without odometry."""
+INTERVAL_MEMORY = 0.01
+"""Weight of the newest sweep in the running mean of the time between sweeps without odometry."""
 
 
 @kernel
@@ -191,7 +190,7 @@ def _predict(motions: Motions, k: int, state: State, d_pose: Array) -> bool:
     covariance = motions.covariance[k].copy()
     if no_odometry:
         seconds = min(motions.duration[k], MAX_COAST)
-        state.averages[2] += MEMORY[1] * (seconds - state.averages[2])
+        state.averages[2] += INTERVAL_MEMORY * (seconds - state.averages[2])
         seconds = max(seconds, state.averages[2])
         d_pose[:], covariance[:] = state.velocity, 0.0
         position, heading = (SPEED_SIGMA * seconds + 0.01) ** 2, (RATE_SIGMA * seconds + 0.01) ** 2
@@ -288,7 +287,6 @@ def _match(
         state.averages[:] = means
         state.faults.poor[:] = 0.0
     else:
-        state.averages[0] += MEMORY[0] * (share - usual)
         add_fit(state.faults, fit, usual)
     _move(ScanMatch(guess, fit, usual, H, W), k, no_odometry, state, settings, out)
     return not poor

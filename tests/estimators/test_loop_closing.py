@@ -6,6 +6,8 @@ from tests.estimators.drives import LAP, RING, begun, driven, keyframe, keyframe
 
 from impslam.estimators.loop_closing import (
     CONFIRMATION_DISTANCE,
+    MAX_REACH,
+    PASS_DISTANCE,
     SAFE_WINDOW,
     LoopCloser,
     LoopSearch,
@@ -122,11 +124,11 @@ def test_the_smaller_the_common_area_the_more_closures_have_to_agree(matched, se
     ("third", "count"),
     [(ClosureStrength.STRONG, 3), (ClosureStrength.WEAK, 3), (None, 0)],
 )
-def test_more_closures_have_to_agree_if_the_node_may_be_outside_of_any_window(third, count):
-    """The true place may be outside, and one that looks alike inside."""
+def test_more_closures_have_to_agree_if_the_node_may_be_far_off(third, count):
+    """The true place may be elsewhere, and look like the one found."""
     rows = [(20,), (21,)] + ([(22, third)] if third is not None else [])
     graph, closer, _ = taken(WIDE, *rows, spread=100.0)
-    assert lap(spread=100.0).reach(21)[1] > LoopSearch().max_window > lap().reach(21)[1]
+    assert lap(spread=100.0).reach(21)[1] > MAX_REACH > lap().reach(21)[1]
     assert graph.closures == count
     assert bool(closer._pending) == (count == 0)
 
@@ -204,6 +206,35 @@ def test_out_of_the_window_nothing_is_found(frames):
     """So little drift is allowed that the window misses the place by a metre."""
     made = seeking(frames, drift=0.001, min_window=0.1, turn_drift=1e-4, min_turn_window=0.01)
     assert made._graph.closures == 0
+
+
+@pytest.mark.parametrize(("away", "count"), [(100.0, 2), (350.0, 8)])
+def test_the_wider_the_window_the_more_candidates_are_tried(frames, away, count):
+    """After a way without scans, there and back, the window is 8 and 28 m wide."""
+    lap = len(way(*LAP))
+    blind = [keyframe(lap + k, [way, 0.0, 0.0]) for k, way in enumerate((away, -away))]
+    made = begun(TRUTH[0])
+    driven(made, [*frames[:lap], *blind])
+    paths = made._graph.path_lengths(len(made._graph) - 1)
+    chosen = made._closer._candidates(len(made._graph) - 1, paths, made._keys, made._graph)
+    assert len(chosen) == count
+    apart = np.diff(np.sort(made._keys.distance[made._keys.nodes[chosen]]))
+    assert apart.min() >= PASS_DISTANCE
+
+
+def test_a_strong_closure_is_preferred_to_a_weak_one_with_a_nearer_candidate(frames, monkeypatch):
+    made = begun(TRUTH[0])
+    driven(made, frames[:-1])
+    verdicts = iter((ClosureStrength.WEAK, ClosureStrength.STRONG))
+    monkeypatch.setattr(made._closer, "_candidates", lambda *_: [2, 8])
+    monkeypatch.setattr(
+        made._closer.recogniser, "find_closure",
+        lambda *_: found(made._graph, 25, next(verdicts)).closure,
+    )  # fmt: skip
+    made._closer._pending = []
+    made._closer.search(len(made._graph) - 1, made._keys, made._graph)
+    assert [p.i for p in made._closer._pending] == [8]
+    assert made._closer._pending[0].is_strong
 
 
 def test_closures_are_where_the_truth_is(frames):

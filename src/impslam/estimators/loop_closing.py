@@ -37,12 +37,13 @@ SAFE_WINDOW = 0.8  # m: so small a window contains only one place
 MIN_EVIDENCE = 2.5
 """Evidence of closures that agree: a strong and another one, three weak ones, or two that together have
 1.25 times the common area of a strong one."""
-MIN_DISTANT_EVIDENCE = 4.5
-"""The same if the node may be off by more than the widest window, at 3 sigma: the true place may then be
-outside, and one that looks alike inside. Three strong closures are needed, or two and a weak one. In 3 of
-10 simulated drives through a convention centre, with a lidar of 4 m range, two were 11 m off."""
+MAX_REACH, MIN_DISTANT_EVIDENCE = 16.0, 4.5
+"""m, 3 sigma, by which the node may be off, and the same beyond: the true place may then be elsewhere, and
+look like the one found. Three strong closures are needed, or two and a weak one. In 3 of 10 simulated
+drives through a convention centre, with a lidar of 4 m range, two were 11 m off."""
 CONFIRMATION_DISTANCE = 12.0  # m driven within which a second closure has to agree
-MAX_KNOWN_WINDOW = 3.0  # m: a node whose window is no wider should be where the graph has it
+MAX_KNOWN_WINDOW = 3.0  # m: a node whose window is no wider should be where the graph has it,
+KNOWN_DISTANCE = 3.5  # m: if another node is so near: half a `REFERENCE_RADIUS`
 MIN_CONTRADICTED = 0.1
 """Share of the points of a node or of its reference in the free space of the other, in excess of those in
 its own, at which they contradict each other, unless a strong closure joins them. In the failed searches of
@@ -66,14 +67,17 @@ class LoopSearch(Parameters):
     min_window: float = parameter(
         0.4, "m", "window without drift: the convergence radius of one alignment", gt=0
     )
-    max_window: float = parameter(16.0, "m", "maximum window", gt=0)
+    max_window: float = parameter(32.0, "m", "maximum window", gt=0)
     turn_drift: float = parameter(
         0.008, "rad/m", "drift of the heading per path length", gt=0, le=1
     )
     min_turn_window: float = parameter(0.06, "rad", "heading window without drift", gt=0)
     max_turn_window: float = parameter(0.5, "rad", "maximum heading window", gt=0, le=math.pi)
     candidates: int = parameter(
-        2, "1", "number of candidates tried at each node; 0: no loop closures", ge=0
+        2,
+        "1",
+        "number of candidates tried at each node, more in wide windows; 0: no loop closures",
+        ge=0,
     )
     overlap: float = parameter(
         MIN_MATCHED,
@@ -125,7 +129,7 @@ class Comparison(NamedTuple):
     @property
     def contradicts(self) -> bool:
         """Whether the node is not at that pose. Unknown areas of the map contradict nothing."""
-        return self.closure is None and self.offset < 0.5 * REFERENCE_RADIUS
+        return self.closure is None and self.offset < KNOWN_DISTANCE
 
 
 class LoopCloser:
@@ -154,40 +158,56 @@ class LoopCloser:
     def search(self, node: int, keys: KeyframeLog, graph: PoseGraph) -> bool:
         """Search closures of a node; return whether the graph must be solved.
 
-        What is driven after the node belongs to the query, so the newest node waits for the next one.
+        What is driven after the node belongs to the query, so the newest node waits for the next one. A
+        weak closure only counts if there is no strong one with another candidate.
         """
         paths = graph.path_lengths(node)
-        windows = np.minimum(
-            self._search.min_window + self._search.drift * paths, self._search.max_window
-        )
+        candidates = self._candidates(node, paths, keys, graph)
+        if not candidates or (query := self._query(node, keys)) is None:
+            return False
+        weak: PendingClosure | None = None
+        for u in candidates:
+            if (reference := self._reference(u, node, keys, graph)) is None:
+                continue
+            guess, window = between(graph.poses[u], graph.poses[node]), self.window(float(paths[u]))
+            closure = self.recogniser.find_closure(reference, query, guess, window)
+            is_known = window.x <= MAX_KNOWN_WINDOW and math.hypot(*guess[:2]) < KNOWN_DISTANCE
+            contradicts = is_known and self._contradicts(reference, query, guess, closure)
+            if contradicts:
+                closure = None
+            if u == candidates[0]:
+                self._note(node, contradicts, closure)
+            if closure is None:
+                continue
+            new = PendingClosure(u, node, closure, float(keys.distance[keys.nodes[node]]))
+            if new.is_strong:
+                return self._accept(new, graph, window.x)
+            weak = weak or new
+        return weak is not None and self._accept(weak, graph, self.window(paths[weak.i]).x)
+
+    def _candidates(
+        self, node: int, paths: Array, keys: KeyframeLog, graph: PoseGraph
+    ) -> list[int]:
+        """Return the nodes to compare with a node, the nearest in terms of their windows first.
+
+        `paths` (n,) m are the path lengths to all nodes. Each candidate covers only a part of a wide
+        window, so more are tried there.
+        """
+        search = self._search
+        windows = np.minimum(search.min_window + search.drift * paths, search.max_window)
         offsets = np.hypot(*(graph.poses[:, :2] - graph.poses[node, :2]).T)
-        possible = (paths > self._search.min_path) & (offsets < windows + 2.0) & np.isfinite(paths)
+        possible = (paths > search.min_path) & (offsets < windows + 2.0) & np.isfinite(paths)
         possible[node:] = False
         possible &= ~graph.is_folded
-        if not possible.any() or (query := self._query(node, keys)) is None:
-            return False
         rank = np.where(possible, offsets / (windows + 2.0) + 1e-4 * paths, np.inf)
         driven = keys.distance[keys.nodes]
-        for attempt in range(self._search.candidates):
+        chosen: list[int] = []
+        wide = int(windows[np.argmin(rank)] / REFERENCE_RADIUS)
+        while len(chosen) < search.candidates * max(1, wide) and np.isfinite(rank).any():
             u = int(np.argmin(rank))
-            if rank[u] == np.inf:
-                return False
-            reference = self._reference(u, node, keys, graph)
-            if reference is not None:
-                guess = between(graph.poses[u], graph.poses[node])
-                window = self.window(float(paths[u]))
-                closure = self.recogniser.find_closure(reference, query, guess, window)
-                is_known = window.x <= MAX_KNOWN_WINDOW and offsets[u] < 0.5 * REFERENCE_RADIUS
-                contradicts = is_known and self._contradicts(reference, query, guess, closure)
-                if contradicts:
-                    closure = None
-                if attempt == 0:
-                    self._note(node, contradicts, closure)
-                if closure is not None:
-                    new = PendingClosure(u, node, closure, float(driven[node]))
-                    return self._accept(new, graph, windows[u])
+            chosen.append(u)
             rank[np.abs(driven - driven[u]) < PASS_DISTANCE] = np.inf
-        return False
+        return chosen
 
     def _note(self, node: int, contradicts: bool, closure: Closure | None) -> None:
         """Note whether the map contradicts a node.
@@ -291,7 +311,7 @@ class LoopCloser:
             reach = float(graph.reach(new.j)[new.i])
         except NumericalError:
             reach = math.inf
-        return MIN_EVIDENCE if reach <= self._search.max_window else MIN_DISTANT_EVIDENCE
+        return MIN_EVIDENCE if reach <= MAX_REACH else MIN_DISTANT_EVIDENCE
 
 
 def _submap(

@@ -212,7 +212,7 @@ def test_out_of_the_window_nothing_is_found(frames):
 def test_the_wider_the_window_the_more_candidates_are_tried(frames, away, count):
     """After a way without scans, there and back, the window is 8 and 28 m wide."""
     lap = len(way(*LAP))
-    blind = [keyframe(lap + k, [way, 0.0, 0.0]) for k, way in enumerate((away, -away))]
+    blind = [keyframe(lap + k, [ahead, 0.0, 0.0]) for k, ahead in enumerate((away, -away))]
     made = begun(TRUTH[0])
     driven(made, [*frames[:lap], *blind])
     paths = made._graph.path_lengths(len(made._graph) - 1)

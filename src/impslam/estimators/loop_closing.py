@@ -43,7 +43,7 @@ look like the one found. Three strong closures are needed, or two and a weak one
 drives through a convention centre, with a lidar of 4 m range, two were 11 m off."""
 CONFIRMATION_DISTANCE = 12.0  # m driven within which a second closure has to agree
 MAX_KNOWN_WINDOW = 3.0  # m: a node whose window is no wider should be where the graph has it,
-KNOWN_DISTANCE = 3.5  # m: if another node is so near: half a `REFERENCE_RADIUS`
+KNOWN_DISTANCE = 0.5 * REFERENCE_RADIUS  # m: if another node is so near
 MIN_CONTRADICTED = 0.1
 """Share of the points of a node or of its reference in the free space of the other, in excess of those in
 its own, at which they contradict each other, unless a strong closure joins them. In the failed searches of
@@ -183,18 +183,17 @@ class LoopCloser:
             if new.is_strong:
                 return self._accept(new, graph, window.x)
             weak = weak or new
-        return weak is not None and self._accept(weak, graph, self.window(paths[weak.i]).x)
+        return weak is not None and self._accept(weak, graph, float(self._radius(paths[weak.i])))
 
     def _candidates(
         self, node: int, paths: Array, keys: KeyframeLog, graph: PoseGraph
     ) -> list[int]:
-        """Return the nodes to compare with a node, the nearest in terms of their windows first.
+        """Return the nodes to compare with a node, the nearest relative to its window first.
 
         `paths` (n,) m are the path lengths to all nodes. Each candidate covers only a part of a wide
         window, so more are tried there.
         """
-        search = self._search
-        windows = np.minimum(search.min_window + search.drift * paths, search.max_window)
+        search, windows = self._search, self._radius(paths)
         offsets = np.hypot(*(graph.poses[:, :2] - graph.poses[node, :2]).T)
         possible = (paths > search.min_path) & (offsets < windows + 2.0) & np.isfinite(paths)
         possible[node:] = False
@@ -275,11 +274,15 @@ class LoopCloser:
 
     def window(self, distance: float) -> Window:
         """Return the window of the possible drift over a distance in m."""
-        s = self._search
-        radius = min(s.min_window + s.drift * distance, s.max_window)
+        s, radius = self._search, float(self._radius(np.array(distance)))
         return Window(
             radius, radius, min(s.min_turn_window + s.turn_drift * distance, s.max_turn_window)
         )
+
+    def _radius(self, distances: Array) -> Array:
+        """Return the possible drift in m over distances in m."""
+        s = self._search
+        return np.asarray(np.minimum(s.min_window + s.drift * distances, s.max_window))
 
     def length(self, radius: float) -> float:
         """Return the distance in m over which the possible drift is `radius` m."""

@@ -38,10 +38,11 @@ SHARE_MEMORY, RMS_MEMORY = 0.3, 0.2
 
 @kernel
 def find_pose(features: Features, state: State, settings: Settings, H: Array, W: Array) -> float:
-    """Move the pose to the best fit of the scan, update the means of share and distance; return the share.
+    """Move the pose to the best fit of the scan; return the inlier share.
 
-    H (3, 3) becomes the information of the scan, W (3,) that of the prior with its robust weight there,
-    both in the frame of the submaps.
+    The running means of the inlier share and of the squared distance are updated. H (3, 3) becomes the
+    information of the scan, W (3,) that of the prior with its robust weight there, both in the frame of the
+    submaps.
     """
     submap, usual = older_map(state.submaps), state.averages[0]
     position, heading = state.prior + state.slip
@@ -79,13 +80,13 @@ def _usable_share(
     trusted: Alignment,
     share: float,
 ) -> float:
-    """Return the inlier share that counts for the information of the next scans; `share` is that found.
+    """Return the inlier share that determines the information of the next scans.
 
-    Wrong odometry pulls a scan of low information away from where it fits. Its share is small there, and if
-    that counted, the next scans would have even less information, and could never correct odometry. So the
-    share that counts then is the one after `trusted` alignment.
+    It is `share`, that at the pose found, unless wrong odometry has pulled the scan away from where it
+    fits. The next scans would then have even less information, and could never correct odometry. So it is
+    the share at the pose that the scan has if it is aligned with full information (`trusted`).
     """
-    if predicted.usual >= USUAL_SHARE:
+    if predicted.usual >= USUAL_SHARE or share >= PULLED_SHARE:  # the best share is at most 1
         return share
     pose, evidence = predicted.pose.copy(), no_evidence()
     best = align(submap, features, pose, predicted.information, trusted, evidence)

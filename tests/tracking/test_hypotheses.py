@@ -18,6 +18,7 @@ from tests.tracking.test_scan_to_map import (
 from impslam.geometry.se2 import compose
 from impslam.health import ELSEWHERE, UNEXPLAINED
 from impslam.surfaces.surface_map import Alignment, add, align, empty_surface_map, no_evidence
+from impslam.tracking.beams import Geometry
 from impslam.tracking.hypotheses import (
     MAX_VELOCITY_CHANGE,
     PosePrediction,
@@ -26,14 +27,27 @@ from impslam.tracking.hypotheses import (
     cost,
     is_expected,
 )
+from impslam.tracking.unseen import LastScan
 from impslam.types import Increment
 
 MATCH = Alignment(14, 0.4, 0.06, 0.035**-2, 1, 9.0)
 SIGMAS = np.array([0.01, 0.01, 0.005])
 
 
+BEAMS = Geometry(np.zeros(3), -math.pi, math.tau / 360)
+
+
 def prediction(pose=(0.0, 0.0, 0.0), extrapolated=(0.0, 0.0, 0.0)):
-    return PosePrediction(np.array(pose), SIGMAS**-2, np.zeros(3), np.array(extrapolated), 0.8)
+    nothing = LastScan(np.zeros(360), np.zeros(3), BEAMS)
+    return PosePrediction(
+        np.array(pose), SIGMAS**-2, np.zeros(3), np.array(extrapolated), 0.8, nothing
+    )
+
+
+def cost_at(pose, match, inliers):
+    """Return the cost of a pose where `inliers` of 100 points fit."""
+    nothing, no_points = empty_surface_map(1.0, 1.0, 1), np.empty((0, 5), np.float32)
+    return cost(nothing, no_points, np.array(pose), prediction(), match, evidence(inliers))
 
 
 def evidence(inliers):
@@ -88,28 +102,27 @@ def test_distance_from_odometry_wraps():
 
 
 def test_each_point_that_fits_counts_what_alignment_weighs_it_by():
-    there = np.zeros(3)
-    costs = [cost(there, prediction(), MATCH, evidence(n)) for n in (50.0, 51.0)]
+    costs = [cost_at(np.zeros(3), MATCH, n) for n in (50.0, 51.0)]
     assert costs[0] - costs[1] == pytest.approx(0.5 * MATCH.information * MATCH.narrow**2)
 
 
 def test_points_that_usually_do_not_fit_do_not_count():
-    costs = {cost(np.zeros(3), prediction(), MATCH, evidence(n)) for n in (80.0, 85.0, 100.0)}
+    costs = {cost_at(np.zeros(3), MATCH, n) for n in (80.0, 85.0, 100.0)}
     assert costs == {0.0}
 
 
 def test_odometry_off_by_little_costs_half_its_chi_square():
-    off = cost(0.1 * SIGMAS, prediction(), MATCH, evidence(50.0))
-    here = cost(np.zeros(3), prediction(), MATCH, evidence(50.0))
+    off = cost_at(0.1 * SIGMAS, MATCH, 50.0)
+    here = cost_at(np.zeros(3), MATCH, 50.0)
     assert off - here == pytest.approx(0.015, rel=0.01)
 
 
 def test_a_slip_costs_its_odds_however_large_it_is():
     """A uniform density of 1 / (m^2 rad), times 0.001, against the normal one at its mean."""
-    here = cost(np.zeros(3), prediction(), MATCH, evidence(50.0))
+    here = cost_at(np.zeros(3), MATCH, 50.0)
     sure = MATCH._replace(slack2=1000.0)
     for metres in (0.3, 0.5):
-        slipped = cost(np.array([metres, 0.0, 0.0]), prediction(), sure, evidence(50.0)) - here
+        slipped = cost_at((metres, 0.0, 0.0), sure, 50.0) - here
         expected = math.log(1000.0 / ((2.0 * math.pi) ** 1.5 * SIGMAS.prod()))
         assert slipped == pytest.approx(expected)
 

@@ -117,6 +117,16 @@ def closeness_of(cell: int) -> int:
 
 
 @kernel
+def surfel_at(surface_map: SurfaceMap, x: float, y: float) -> int:
+    """Return the index of the surfel nearest to a point, -1 if none is within `RADIUS`."""
+    height, width = surface_map.cells.shape
+    u, v = (x - surface_map.corner[0]) / CELL, (y - surface_map.corner[1]) / CELL
+    if not (0.0 <= u < width and 0.0 <= v < height):  # also if the point is not finite
+        return -1
+    return surfel_of(surface_map.cells[int(v), int(u)])
+
+
+@kernel
 def clear(surface_map: SurfaceMap, corner: Array) -> None:
     """Remove all surfels, and move the grid's corner (2,) m."""
     height, width = surface_map.cells.shape

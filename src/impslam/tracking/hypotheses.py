@@ -24,6 +24,7 @@ from impslam.surfaces.surface_map import (
     align,
     normal_equations,
 )
+from impslam.tracking.unseen import LastScan, unseen_points
 from impslam.types import Array
 
 MAX_VELOCITY_CHANGE = (0.1, 0.2)
@@ -54,6 +55,7 @@ class PosePrediction(NamedTuple):
     last, extrapolated : at the newest match, and from there at constant velocity; after a gap in the data,
         in which the robot may have gone anywhere, by odometry as well
     usual : the usual inlier share
+    last_scan : the scan before
     """
 
     pose: Array
@@ -61,6 +63,7 @@ class PosePrediction(NamedTuple):
     last: Array
     extrapolated: Array
     usual: float
+    last_scan: LastScan
 
 
 @kernel
@@ -98,17 +101,28 @@ def is_possible(pose: Array, predicted: PosePrediction) -> bool:
 
 
 @kernel
-def cost(pose: Array, predicted: PosePrediction, match: Alignment, evidence: FitSums) -> float:
+def cost(
+    submap: SurfaceMap,
+    features: Features,
+    pose: Array,
+    predicted: PosePrediction,
+    match: Alignment,
+    evidence: FitSums,
+) -> float:
     """Return the negative log probability of a pose, up to a constant; inf if it is not possible.
 
     The part of the points is the Geman-McClure cost that alignment minimises: the squared scale for each
     outlier. Outliers up to their usual share do not count: they show what the map does not contain yet, and
-    a pose without motion would leave the fewest of them. The part of odometry is that of a prior with heavy
-    tails, or of a slip.
+    a pose without motion would leave the fewest of them. In a door, more of them do, so those that the last
+    scan could not see do not count either. The part of odometry is that of a prior with heavy tails, or of
+    a slip.
     """
     if not is_possible(pose, predicted):
         return math.inf
     missing = max(predicted.usual * evidence.sums[0] - evidence.sums[1], 0.0)
+    if missing > 0.0:
+        unseen = unseen_points(submap, features, pose, predicted.last_scan)
+        missing = max(missing - predicted.usual * unseen, 0.0)
     points = match.information * match.narrow**2 * missing
     gaussian = match.slack2 * math.log(1.0 + chi2_of(pose, predicted) / match.slack2)
     a = predicted.information
@@ -133,11 +147,11 @@ def align_from_predictions(
     """
     best, other = pose.copy(), np.empty(3)
     prior = predicted.information * SEARCH_PRIOR_WEIGHT
-    lowest = cost(pose, predicted, match, evidence)
+    lowest = cost(submap, features, pose, predicted, match, evidence)
     if lowest == math.inf:
         best[:] = predicted.pose
         normal_equations(submap, features, best, match.narrow, match.step, evidence)
-        lowest = cost(best, predicted, match, evidence)
+        lowest = cost(submap, features, best, predicted, match, evidence)
     near = Alignment(
         match.iterations, match.narrow, match.narrow, match.information, match.step, match.slack2
     )
@@ -145,7 +159,7 @@ def align_from_predictions(
         for how in (match, near):
             other[:] = start
             align(submap, features, other, prior, how, evidence)
-            new_cost = cost(other, predicted, match, evidence)
+            new_cost = cost(submap, features, other, predicted, match, evidence)
             if new_cost < lowest:
                 best[:], lowest = other, new_cost
     return _finish(submap, features, best, match, pose, evidence)
@@ -168,7 +182,7 @@ def search(
     coarse = Alignment(8, 0.25, 0.1, match.information, max(1, len(features) // 60), match.slack2)
     fine = Alignment(4, 0.1, match.narrow, match.information, match.step, match.slack2)
     prior = predicted.information * SEARCH_PRIOR_WEIGHT
-    old_cost = cost(pose, predicted, match, evidence)
+    old_cost = cost(submap, features, pose, predicted, match, evidence)
     best, other = pose.copy(), np.empty(3)
     min_share = max(evidence.sums[1] / max(evidence.sums[0], 1.0) + 0.2, 0.6 * predicted.usual, 0.5)
     for start in (predicted.pose, predicted.last, predicted.extrapolated):
@@ -183,7 +197,7 @@ def search(
                 if share > min_share and is_possible(other, predicted):
                     best[:], min_share = other, share
     normal_equations(submap, features, best, match.narrow, match.step, evidence)
-    if cost(best, predicted, match, evidence) > old_cost:
+    if cost(submap, features, best, predicted, match, evidence) > old_cost:
         best[:] = pose
     return _finish(submap, features, best, match, pose, evidence)
 

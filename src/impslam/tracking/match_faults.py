@@ -239,6 +239,12 @@ def is_slipping(faults: MatchFaults) -> bool:
 
 
 @kernel
+def is_odometry_wrong(faults: MatchFaults) -> bool:
+    """Return whether the newest match disagrees with odometry."""
+    return int(faults.newest[0]) not in (NONE, OPEN)
+
+
+@kernel
 def current_fault(faults: MatchFaults, duration: float) -> tuple[int, float]:
     """Return the newest match's reason and amount for an unmatched scan `duration` s after it."""
     if duration > WINDOW or faults.newest[0] == NONE:

@@ -19,6 +19,7 @@ from impslam.tracking.hypotheses import (
 from impslam.tracking.matching_state import Settings, State
 from impslam.tracking.reach import is_after_gap
 from impslam.tracking.submaps import older_map
+from impslam.tracking.unseen import LastScan
 from impslam.types import Array
 
 MIN_SLIP = (0.1, 0.025)
@@ -37,7 +38,14 @@ SHARE_MEMORY, RMS_MEMORY = 0.3, 0.2
 
 
 @kernel
-def find_pose(features: Features, state: State, settings: Settings, H: Array, W: Array) -> float:
+def find_pose(
+    features: Features,
+    last_scan: LastScan,
+    state: State,
+    settings: Settings,
+    H: Array,
+    W: Array,
+) -> float:
     """Move the pose to the best fit of the scan; return the inlier share.
 
     The running means of the inlier share and of the squared distance are updated. H (3, 3) becomes the
@@ -53,7 +61,7 @@ def find_pose(features: Features, state: State, settings: Settings, H: Array, W:
     how = settings.match
     match = Alignment(how.iterations, how.wide, how.narrow, weight, how.step, slack2)
     trusted = Alignment(how.iterations, how.wide, how.narrow, how.information, how.step, slack2)
-    predicted = _predictions(state)
+    predicted = _predictions(state, last_scan)
     share = align(submap, features, state.pose, prior, match, state.evidence)
     if not is_expected(state.pose, predicted):
         share = align_from_predictions(
@@ -100,12 +108,12 @@ def _information(position: float, heading: float) -> Array:
 
 
 @kernel
-def _predictions(state: State) -> PosePrediction:
+def _predictions(state: State, last_scan: LastScan) -> PosePrediction:
     """Return the predicted poses of a scan."""
     pose, usual = state.pose.copy(), state.averages[0]
     prior = _information(state.prior[0], state.prior[1])
     if is_after_gap(state):
-        return PosePrediction(pose, prior, pose, pose, usual)
+        return PosePrediction(pose, prior, pose, pose, usual, last_scan)
     extrapolated = state.matched.copy()
     advance_pose(extrapolated, state.velocity)
-    return PosePrediction(pose, prior, state.matched, extrapolated, usual)
+    return PosePrediction(pose, prior, state.matched, extrapolated, usual, last_scan)

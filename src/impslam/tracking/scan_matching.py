@@ -43,6 +43,7 @@ from impslam.tracking.match_faults import (
     current_fault,
     disputed_variance,
     fits_poorly,
+    is_odometry_wrong,
     is_slipping,
 )
 from impslam.tracking.match_information import add_along, add_drift, information, remove_spurious
@@ -53,6 +54,7 @@ from impslam.tracking.self_deskewing import deskew, set_twist
 from impslam.tracking.stall import IS_STALLED
 from impslam.tracking.stalled import predict_stalled, report_stalled, set_reference_pose
 from impslam.tracking.submaps import confirmed_surfels, extend, is_empty
+from impslam.tracking.unseen import LastScan
 from impslam.types import Array
 
 MIN_POINTS = 10
@@ -170,7 +172,8 @@ def _deskew(
             return
         state.pose[:] = state.matched
         advance_pose(state.pose, trial)
-        share = find_pose(features[:count], state, settings, np.empty((3, 3)), np.empty(3))
+        last = _last_scan(beams, state, True)
+        share = find_pose(features[:count], last, state, settings, np.empty((3, 3)), np.empty(3))
         if share > best:
             best = share
             between(state.matched, state.pose, motion)
@@ -272,7 +275,7 @@ def _match(
         return True
     guess, means = state.pose.copy(), state.averages.copy()
     usual, H, W = means[0], np.empty((3, 3)), np.empty(3)
-    share = find_pose(features, state, settings, H, W)
+    share = find_pose(features, _last_scan(beams, state, no_odometry), state, settings, H, W)
     if no_odometry:
         remove_spurious(H)
     off = np.empty(3)
@@ -290,6 +293,13 @@ def _match(
         add_fit(state.faults, fit, usual)
     _move(ScanMatch(guess, fit, usual, H, W), k, no_odometry, state, settings, out)
     return not poor
+
+
+@kernel
+def _last_scan(beams: BeamColumns, state: State, no_odometry: bool) -> LastScan:
+    """Return the scan matched before, with no ranges if odometry is absent or wrong."""
+    ranges, useless = state.lidar.ranges, no_odometry or is_odometry_wrong(state.faults)
+    return LastScan(ranges[:0] if useless else ranges, state.lidar.pose, beams.geometry)
 
 
 @kernel

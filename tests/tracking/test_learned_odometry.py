@@ -43,3 +43,19 @@ def test_the_scale_of_distance_is_learned_from_located_matches_only():
     error = (0.01, 0.0, 0.0)
     assert driven((True, True), error).bias[2] == pytest.approx(0.05, abs=0.005)
     assert driven((False, True), error).bias[2] == 0.0
+
+
+def test_the_noise_of_a_bad_robot_is_known_after_a_few_segments():
+    """Its heading drifts three times as much as `START` says; it has driven 20 m and turned by 10 rad."""
+    rng, true, measured = np.random.default_rng(3), 0.15, []
+    for _ in range(20):
+        learned, pose = initial_odometry(), np.zeros(3)
+        for _ in range(100):
+            motion = STEP.copy()
+            correct(learned, motion)
+            moved = STEP.copy()
+            moved[2] += true * np.sqrt(0.2 + 0.5 * 0.1) * rng.normal()
+            pose = compose(pose, moved)
+            learn(learned, motion, moved - STEP, False, pose, 1.0, (True, True))
+        measured.append(np.sqrt(learned.noise[1]))
+    assert np.median(measured) == pytest.approx(true, rel=0.2)

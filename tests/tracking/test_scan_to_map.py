@@ -321,9 +321,7 @@ def test_a_slip_is_found_again(slip):
     _, out, off = drive(poses, odometry_of(poses, error), scans_from(poses))
     assert_near(off[:20], 0.01, 0.005)
     assert_near(off[24:], 0.03, 0.01)
-    assert (out.reasons[20] == SLIPPED) == (
-        abs(slip[2]) > 0.0
-    )  # half a metre of travel may be half a metre off
+    assert out.reasons[20] == SLIPPED
     assert not np.delete(out.reasons, [19, 20, 21]).any()
     assert out.located[25:].all()
 

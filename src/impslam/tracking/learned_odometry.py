@@ -23,7 +23,8 @@ SEGMENT_LENGTH = 2.0
 BIAS_MEMORY = 10.0
 """m over which the bias is averaged: tens of matches, one kind of floor."""
 NOISE_RATE = 0.1
-"""Weight of the newest segment in the noise: the mean of about ten segments, 20 m."""
+"""Least weight of the newest segment in the noise: the mean of about ten segments, 20 m. The first segments
+have the same weight as `START`: robots differ tenfold."""
 START = np.array([0.08, 0.05])
 """m/sqrt(m) and rad/sqrt(m), the noise before the first segment: that of indoor robots."""
 MIN_NOISE = np.array([0.003, 0.0005])
@@ -49,6 +50,7 @@ class LearnedOdometry(NamedTuple):
     lengths : (4,) m and rad of that motion, and the numbers of matches that did not determine the position
         and the heading
     begin : (3,) matched pose at which the segment began
+    segments : (1,) number of those before
     """
 
     bias: Array
@@ -57,13 +59,14 @@ class LearnedOdometry(NamedTuple):
     odometry: Array
     lengths: Array
     begin: Array
+    segments: Array
 
 
 def initial_odometry() -> LearnedOdometry:
     """Return the state before anything is learned."""
     zeros = (np.zeros(3) for _ in range(3))
     return LearnedOdometry(
-        next(zeros), np.zeros((3, 2)), START**2, next(zeros), np.zeros(4), next(zeros)
+        next(zeros), np.zeros((3, 2)), START**2, next(zeros), np.zeros(4), next(zeros), np.zeros(1)
     )
 
 
@@ -145,9 +148,11 @@ def _learn_noise(learned: LearnedOdometry, pose: Array, quality: float) -> None:
         max(excess[0], 0.0) / (distance + 0.3 * turn),
         max(excess[1], 0.0) / (distance + 0.5 * turn),
     )
+    learned.segments[0] += 1.0
+    rate = quality * max(NOISE_RATE, 1.0 / (learned.segments[0] + 1.0))
     for k in range(2):
         new = min(measured[k], 4.0 * learned.noise[k]) / 0.92
         if learned.lengths[2 + k] > 0.0:
             new = max(new, min(learned.noise[k], UNLOCATED_NOISE[k] ** 2))
-        learned.noise[k] += NOISE_RATE * quality * (new - learned.noise[k])
+        learned.noise[k] += rate * (new - learned.noise[k])
         learned.noise[k] = max(learned.noise[k], MIN_NOISE[k] ** 2)

@@ -35,8 +35,8 @@ MIN_REFERENCES = 4
 PASS_DISTANCE = 6.0  # m: keyframes closer than this along the drive are of the same pass
 SAFE_WINDOW = 0.8  # m: so small a window contains only one place
 MIN_EVIDENCE = 2.5
-"""Evidence of closures that agree: a strong and another one, three weak ones, or two that together have
-1.25 times the common area of a strong one."""
+"""Evidence of closures that agree: a strong and another one, three weak ones or ones without a position, or
+two that together have 1.25 times the common area of a strong one."""
 MAX_REACH, MIN_DISTANT_EVIDENCE = 16.0, 4.5
 """m, 3 sigma, by which the node may be off, and the same beyond: the true place may then be elsewhere, and
 look like the one found. Three strong closures are needed, or two and a weak one. In 3 of 10 simulated
@@ -107,9 +107,12 @@ class PendingClosure(NamedTuple):
 
     @property
     def evidence(self) -> float:
-        """What it contributes to `MIN_EVIDENCE`: 2 if strong, less in a small common area, at least 1."""
+        """What it contributes to `MIN_EVIDENCE`: 2 if strong, less in a small common area, at least 1.
+
+        One without a position shows little more than a wall, and a parallel one looks alike.
+        """
         support = self.closure.support
-        if support.agreement < STRONG_SHARE:
+        if support.agreement < STRONG_SHARE or not self.closure.has_position:
             return 1.0
         return max(1.0, 2.0 * min(1.0, support.size))
 

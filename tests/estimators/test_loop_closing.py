@@ -105,6 +105,15 @@ def test_a_strong_and_another_or_three_weak_closures_are_accepted(verdicts):
     assert graph.edges.j[-len(verdicts) :].tolist() == [row[0] for row in rows]
 
 
+def test_closures_without_a_position_count_like_weak_ones():
+    """Along a corridor, two of them agree wherever a wall is parallel to the true one."""
+    graph, closer = lap(), LoopCloser(LoopSearch())
+    for j, closures in ((20, 0), (21, 0), (22, 3)):
+        one = found(graph, j)
+        closer._accept(one._replace(closure=one.closure._replace(has_position=False)), graph, WIDE)
+        assert graph.closures == closures
+
+
 @pytest.mark.parametrize(
     ("matched", "seen", "count"),
     [(0.35, 44, 2), (0.3, 44, 2), (0.25, 60, 2), (0.2, 60, 3), (0.35, 34, 3), (0.15, 20, 3)],

@@ -130,9 +130,11 @@ def grid_map(grid: ImportedGrid, name: str) -> Map:
 
 def _keyframe_positions(grid: ImportedGrid) -> Array:
     """Return positions (k, 2) m in the grid's frame, covering its free space, each near the previous."""
-    from scipy.ndimage import distance_transform_edt  # noqa: PLC0415  slow to import
+    import cv2  # noqa: PLC0415  takes a tenth of a second
 
-    clearance = distance_transform_edt(np.pad(grid.cells == FREE, 1))[1:-1, 1:-1] * grid.resolution
+    free = np.pad(grid.cells == FREE, 1).astype(np.uint8)
+    cells = cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
+    clearance = cells * grid.resolution
     step = max(1, round(SPACING / grid.resolution))
     best = []
     for row in range(0, clearance.shape[0], step):

@@ -180,11 +180,13 @@ def _pyramid(cells: Bytes) -> Bytes:
 
 def _distance(marked: Mask, cell: float, limit: float = MAX_DISTANCE) -> Floats:
     """Return the distance from each cell to the nearest one in a mask, clipped at `limit`, m."""
-    from scipy.ndimage import distance_transform_edt  # noqa: PLC0415  slow to import
+    import cv2  # noqa: PLC0415  slow to import
 
     if not marked.any():
         return np.full(marked.shape, limit, np.float32)
-    distance: Floats = np.minimum(distance_transform_edt(~marked) * cell, limit).astype(np.float32)
+    unmarked = (~marked).astype(np.uint8)
+    cells = cv2.distanceTransform(unmarked, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    distance: Floats = np.minimum(cells * np.float32(cell), np.float32(limit))
     return distance
 
 

@@ -17,6 +17,7 @@ from impslam.errors import ImpError
 from impslam.geometry.kernels import kernel
 from impslam.geometry.se2 import compose
 from impslam.map import Keyframes, Map
+from impslam.maps.distances import distances
 from impslam.maps.files import FREE_BELOW, OCCUPIED_ABOVE
 from impslam.maps.layout import undriven
 from impslam.types import Array
@@ -130,11 +131,8 @@ def grid_map(grid: ImportedGrid, name: str) -> Map:
 
 def _keyframe_positions(grid: ImportedGrid) -> Array:
     """Return positions (k, 2) m in the grid's frame, covering its free space, each near the previous."""
-    import cv2  # noqa: PLC0415  takes a tenth of a second
-
-    free = np.pad(grid.cells == FREE, 1).astype(np.uint8)
-    cells = cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
-    clearance = cells * grid.resolution
+    is_blocked = np.pad(grid.cells != FREE, 1, constant_values=True)
+    clearance = distances(is_blocked, grid.resolution)[1:-1, 1:-1]
     step = max(1, round(SPACING / grid.resolution))
     best = []
     for row in range(0, clearance.shape[0], step):

@@ -8,6 +8,7 @@ from impslam.surfaces.features import find_features
 from impslam.surfaces.surface_map import add, empty_surface_map
 from impslam.tracking.beams import Geometry
 from impslam.tracking.contradictions import MIN_CONTRADICTED, contradicted_share
+from impslam.tracking.reference_scan import LastScan
 
 ROOM = [
     [(-2, -2), (3, -2)],
@@ -62,9 +63,7 @@ def contradicted(poses, pose, seen=None, valid=None, before=WORLD):
         everything if valid is None else valid,
         np.array(pose, float),
         surface_map.surfels[: surface_map.size[0]],
-        scan_at(poses[-1], before),
-        np.array(poses[-1], float),
-        GEOMETRY,
+        LastScan(scan_at(poses[-1], before), np.array(poses[-1], float), GEOMETRY),
     )
 
 
@@ -131,8 +130,8 @@ def test_invalid_beams_do_not_count():
 
 def test_beams_of_one_direction_contradict_nothing():
     one = Geometry(np.zeros(3), 0.0, 0.0)
+    last = LastScan(np.array([5.0]), np.zeros(3), one)
     share = contradicted_share(
-        np.array([2.0]), np.ones(1, bool), np.zeros(3), np.zeros((0, 8)),
-        np.array([5.0]), np.zeros(3), one,
-    )  # fmt: skip
+        np.array([2.0]), np.ones(1, bool), np.zeros(3), np.zeros((0, 8)), last
+    )
     assert share == 0.0

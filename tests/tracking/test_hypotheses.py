@@ -27,7 +27,7 @@ from impslam.tracking.hypotheses import (
     cost,
     is_expected,
 )
-from impslam.tracking.unseen import LastScan
+from impslam.tracking.reference_scan import LastScan
 from impslam.types import Increment
 
 MATCH = Alignment(14, 0.4, 0.06, 0.035**-2, 1, 9.0)

@@ -9,7 +9,8 @@ from tests.tracking.test_scan_to_map import drive, odometry_of, scans_from, stra
 
 from impslam.surfaces.surface_map import add, empty_surface_map
 from impslam.tracking.beams import Geometry
-from impslam.tracking.unseen import LastScan, unseen_points
+from impslam.tracking.reference_scan import LastScan
+from impslam.tracking.unseen import unseen_points
 
 BEAMS = Geometry(np.array([0.2, 0.0, 0.0]), -math.pi, math.tau / 360)
 
@@ -53,7 +54,7 @@ def test_a_point_is_unseen_if_the_last_scan_ended_there_or_before(
 def test_a_door_is_passed_at_the_pose_of_odometry(seed):
     """Walls behind the door are in line with those before, so they also fit half a metre further back.
 
-    The lidar sees 3.5 m, and its ranges have the noise that cheap ones have there.
+    The lidar sees 3.5 m, with the noise of a cheap one at that distance.
     """
     rng, width = np.random.default_rng(seed), (5.0, 5.8)[seed % 2]
     y = (0.42, 0.5)[seed // 2 % 2] * width

@@ -15,6 +15,7 @@ import numpy as np
 
 from impslam.geometry.se2 import transform
 from impslam.map import Keyframes
+from impslam.maps.distances import distances
 from impslam.maps.grid import BALANCED, OccupancyGrid
 from impslam.recognition.free_ranges import MAX_RANGE
 from impslam.recognition.pyramid import (
@@ -180,13 +181,7 @@ def _pyramid(cells: Bytes) -> Bytes:
 
 def _distance(marked: Mask, cell: float, limit: float = MAX_DISTANCE) -> Floats:
     """Return the distance from each cell to the nearest one in a mask, clipped at `limit`, m."""
-    import cv2  # noqa: PLC0415  slow to import
-
-    if not marked.any():
-        return np.full(marked.shape, limit, np.float32)
-    unmarked = (~marked).astype(np.uint8)
-    cells = cv2.distanceTransform(unmarked, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    distance: Floats = np.minimum(cells * np.float32(cell), np.float32(limit))
+    distance: Floats = np.minimum(distances(marked, cell), np.float32(limit))
     return distance
 
 

@@ -20,7 +20,7 @@ from impslam.geometry.se2 import compose
 from impslam.recognition.free_ranges import BEARINGS, Floats
 from impslam.recognition.submap import Submap
 from impslam.surfaces.features import Features
-from impslam.surfaces.surface_map import CELL, MIN_NORMAL_COSINE, SurfaceMap, surfel_of
+from impslam.surfaces.surface_map import MIN_NORMAL_COSINE, SurfaceMap, surfel_at
 from impslam.types import Array, Ints, Mask
 
 MATCH_DISTANCE = (
@@ -230,17 +230,13 @@ def _is_often_missed(x: float, y: float, feature: Floats, own: _Scans) -> bool:
 @kernel
 def _match(known: SurfaceMap, features: Features, pose: Array, moved: Array, matched: Mask) -> int:
     """Transform features (n,) by a pose, mark those on a surface of their direction; return the number."""
-    height, width = known.cells.shape
     c, s = math.cos(pose[2]), math.sin(pose[2])
     count = 0
     for i in range(len(features)):
         x = pose[0] + c * features[i, 0] - s * features[i, 1]
         y = pose[1] + s * features[i, 0] + c * features[i, 1]
         moved[i, 0], moved[i, 1], matched[i] = x, y, False
-        u, v = (x - known.corner[0]) / CELL, (y - known.corner[1]) / CELL
-        if u < 0.0 or v < 0.0 or u >= width or v >= height:
-            continue
-        k = surfel_of(known.cells[int(v), int(u)])
+        k = surfel_at(known, x, y)
         if k < 0:
             continue
         surfel = known.surfels[k]

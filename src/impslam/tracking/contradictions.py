@@ -16,7 +16,7 @@ from impslam.geometry.kernels import kernel
 from impslam.surfaces.features import Features
 from impslam.surfaces.surface_map import CELL
 from impslam.tracking.beams import Geometry
-from impslam.tracking.reference_scan import beam_towards, laser_motion, seen_from
+from impslam.tracking.reference_scan import LastScan, beam_towards, laser_motion, seen_from
 from impslam.types import Array, Mask
 
 MIN_CONTRADICTED = 0.12
@@ -41,26 +41,20 @@ TURN_CLEARANCE = 0.05
 
 @kernel
 def contradicted_share(
-    ranges: Array,
-    valid: Mask,
-    pose: Array,
-    surfels: Array,
-    last_ranges: Array,
-    last_pose: Array,
-    geometry: Geometry,
+    ranges: Array, valid: Mask, pose: Array, surfels: Array, last: LastScan
 ) -> float:
     """Return the share of the valid beams of a scan at pose (3,) that contradict map or last scan.
 
     Surfaces that they miss do not count if all of them may be one door; the share is 0 if those that they
     show or miss are shorter than `MIN_LENGTH` in all. `surfels` (n, 8) are those of the map, see
-    `SurfaceMap`. `ranges` and `last_ranges` (n,) are in m, the latter 0 where invalid; the poses of both
-    scans are in the frame of the map.
+    `SurfaceMap`. `ranges` (n,) are in m, and the pose in the frame of the map; the last scan has the same
+    beams.
     """
-    n = len(ranges)
-    laser, to_last = pose.copy(), laser_motion(last_pose, pose, geometry)
+    n, geometry = len(ranges), last.geometry
+    laser, to_last = pose.copy(), laser_motion(last.pose, pose, geometry)
     advance_pose(laser, geometry.laser)
     scan = np.where(valid, ranges, 0.0)
-    free, free_before = free_ranges(scan, geometry), free_ranges(last_ranges, geometry)
+    free, free_before = free_ranges(scan, geometry), free_ranges(last.ranges, geometry)
     behind = _behind_surfaces(laser, surfels, n, geometry)
     appeared, vanished, count, length, box = 0, 0, 0, 0.0, empty_box()
     for i in range(n):

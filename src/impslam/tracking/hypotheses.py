@@ -24,7 +24,8 @@ from impslam.surfaces.surface_map import (
     align,
     normal_equations,
 )
-from impslam.tracking.unseen import LastScan, unseen_points
+from impslam.tracking.reference_scan import LastScan
+from impslam.tracking.unseen import unseen_points
 from impslam.types import Array
 
 MAX_VELOCITY_CHANGE = (0.1, 0.2)
@@ -55,7 +56,7 @@ class PosePrediction(NamedTuple):
     last, extrapolated : at the newest match, and from there at constant velocity; after a gap in the data,
         in which the robot may have gone anywhere, by odometry as well
     usual : the usual inlier share
-    last_scan : the scan before
+    last_scan : the one before; without ranges if surfaces that fit are all that shows where the robot is
     """
 
     pose: Array
@@ -119,11 +120,10 @@ def cost(
     """
     if not is_possible(pose, predicted):
         return math.inf
-    missing = max(predicted.usual * evidence.sums[0] - evidence.sums[1], 0.0)
+    missing = predicted.usual * evidence.sums[0] - evidence.sums[1]
     if missing > 0.0:
-        unseen = unseen_points(submap, features, pose, predicted.last_scan)
-        missing = max(missing - predicted.usual * unseen, 0.0)
-    points = match.information * match.narrow**2 * missing
+        missing -= predicted.usual * unseen_points(submap, features, pose, predicted.last_scan)
+    points = match.information * match.narrow**2 * max(missing, 0.0)
     gaussian = match.slack2 * math.log(1.0 + chi2_of(pose, predicted) / match.slack2)
     a = predicted.information
     slip = math.log(a[0] * a[1] * a[2] / (2.0 * math.pi) ** 3) - 2.0 * math.log(SLIP_PROBABILITY)

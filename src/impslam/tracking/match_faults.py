@@ -191,10 +191,10 @@ def check_motion(
     faults.newest[0], faults.newest[1] = _motion_fault(faults, located, far)
     if turns_oppose(faults.turns, odometry[2], scans[2]):
         faults.newest[0], faults.newest[1] = float(OPPOSED), 0.0
-    if int(faults.newest[0]) in (NONE, OPEN):
-        check_offsets(faults.offsets, odometry, scans, duration)
-    else:
+    if is_odometry_wrong(faults):
         interrupt(faults.offsets)
+    else:
+        check_offsets(faults.offsets, odometry, scans, duration)
     return current_fault(faults, 0.0)
 
 

@@ -18,8 +18,8 @@ from impslam.tracking.hypotheses import (
 )
 from impslam.tracking.matching_state import Settings, State
 from impslam.tracking.reach import is_after_gap
+from impslam.tracking.reference_scan import LastScan
 from impslam.tracking.submaps import older_map
-from impslam.tracking.unseen import LastScan
 from impslam.types import Array
 
 MIN_SLIP = (0.1, 0.025)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,6 +18,21 @@ MIN_MOTION = (0.2, 0.15)
 noise."""
 MIN_CHANGE = 0.1
 """m: predicted change of a range that is large enough to be tested: ten times a lidar's noise."""
+
+
+class LastScan(NamedTuple):
+    """The scan of a lidar that was matched before.
+
+    Attributes
+    ----------
+    ranges : (n,) m, 0 where invalid
+    pose : (3,) of base_link, in the frame of the submaps
+    geometry : of its beams
+    """
+
+    ranges: Array
+    pose: Array
+    geometry: Geometry
 
 
 @kernel

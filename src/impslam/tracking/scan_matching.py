@@ -50,11 +50,11 @@ from impslam.tracking.match_information import add_along, add_drift, information
 from impslam.tracking.matching_state import ScanMatch, Settings, State
 from impslam.tracking.pose_search import SEARCH_BELOW, USUAL_SHARE, find_pose
 from impslam.tracking.reach import widen_after_gap
+from impslam.tracking.reference_scan import LastScan
 from impslam.tracking.self_deskewing import deskew, set_twist
 from impslam.tracking.stall import IS_STALLED
 from impslam.tracking.stalled import predict_stalled, report_stalled, set_reference_pose
 from impslam.tracking.submaps import confirmed_surfels, extend, is_empty
-from impslam.tracking.unseen import LastScan
 from impslam.types import Array
 
 MIN_POINTS = 10
@@ -159,6 +159,7 @@ def _deskew(
     parts = beams.points[k], beams.origins[k], beams.directions[k], beams.after
     twist, known, motion = np.zeros(3), np.zeros(3), state.velocity.copy()
     guess, means, best = state.pose.copy(), state.averages.copy(), -1.0
+    last = _last_scan(beams, state, True)
     for change in TURN_CHANGES:
         if is_empty(state.submaps) or best > SEARCH_BELOW * means[0]:
             break
@@ -172,7 +173,6 @@ def _deskew(
             return
         state.pose[:] = state.matched
         advance_pose(state.pose, trial)
-        last = _last_scan(beams, state, True)
         share = find_pose(features[:count], last, state, settings, np.empty((3, 3)), np.empty(3))
         if share > best:
             best = share
@@ -349,10 +349,9 @@ def _contradicts(beams: BeamColumns, k: int, state: State, no_odometry: bool) ->
     gap = is_gap(state.interval[0], state.intervals, WINDOW)
     if state.faults.poor[0] > 0.0 or (gap and not covered):
         return True
-    share = contradicted_share(
-        beams.ranges[k], beams.valid[k], state.pose, confirmed_surfels(state.submaps),
-        state.lidar.ranges, state.lidar.pose, beams.geometry,
-    )  # fmt: skip
+    last = LastScan(state.lidar.ranges, state.lidar.pose, beams.geometry)
+    surfels = confirmed_surfels(state.submaps)
+    share = contradicted_share(beams.ranges[k], beams.valid[k], state.pose, surfels, last)
     return share > MIN_CONTRADICTED
 
 

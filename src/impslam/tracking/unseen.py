@@ -3,32 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 from impslam.geometry.chain import advance_pose
 from impslam.geometry.kernels import kernel
 from impslam.surfaces.features import Features
 from impslam.surfaces.surface_map import SurfaceMap, surfel_at
-from impslam.tracking.beams import Geometry
 from impslam.tracking.contradictions import CLEARANCE
-from impslam.tracking.reference_scan import beam_towards
+from impslam.tracking.reference_scan import LastScan, beam_towards
 from impslam.types import Array
-
-
-class LastScan(NamedTuple):
-    """The scan matched before.
-
-    Attributes
-    ----------
-    ranges : (n,) m, 0 where invalid; empty where odometry is absent or wrong: surfaces that fit are then
-        all that shows where the robot is
-    pose : (3,) of base_link, in the frame of the submaps
-    geometry : of its beams
-    """
-
-    ranges: Array
-    pose: Array
-    geometry: Geometry
 
 
 @kernel
@@ -36,8 +18,10 @@ def unseen_points(submap: SurfaceMap, features: Features, pose: Array, last: Las
     """Return how many features of a scan at pose (3,) show what the submap cannot contain yet.
 
     No surface of it is near them, or only the other side of one, and the last scan did not see through
-    them: it ended there or before.
+    them: it ended there or before. Without ranges of the last scan, there are none.
     """
+    if len(last.ranges) == 0:
+        return 0
     laser, count = last.pose.copy(), 0
     advance_pose(laser, last.geometry.laser)
     c, s = math.cos(pose[2]), math.sin(pose[2])

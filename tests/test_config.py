@@ -102,6 +102,13 @@ def test_a_setting_without_key_or_value_is_refused(setting):
         parse_setting(setting)
 
 
+def test_an_empty_table_is_refused():
+    with pytest.raises(
+        ConfigError, match="changes nothing; to switch a component off, set its kind to none"
+    ):
+        parse_setting("sensors.lidar.extractors={}")
+
+
 def test_later_settings_win():
     assert load(settings=["seed=1", "seed=2"]).seed == 2
 

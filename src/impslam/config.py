@@ -333,6 +333,11 @@ def parse_setting(setting: str) -> Table:
         value = toml.parse(f"value = {text}", f"--set {key}")["value"]
     except toml.TomlSyntaxError:
         value = text.strip()
+    if value == {}:
+        raise ConfigError(
+            f"--set {shorten(setting)}: an empty table changes nothing; to switch a component off, set its "
+            "kind to none, e.g. --set sensors.lidar.extractors.walls.kind=none"
+        )
     parts = key.strip().split(".")
     if len(parts) > toml.MAX_DEPTH:
         raise ConfigError(f"--set {shorten(key)}: no such key; `imp config` shows them all")

@@ -7,6 +7,7 @@ T_keyframe_base`. When an estimator moves keyframes, the path moves with them, a
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -159,6 +160,8 @@ class Revision:
     contradicted : whether what was seen earlier contradicts the newest scans at their poses
     fits_elsewhere : whether the newest scans also fit other places within the uncertainty
     dropped : keyframes whose scans are removed because they add nothing to those of others
+    begins : keyframes at which the estimator begins a session, although their motion is known; they may be
+        repeated
     innovation : of all matches jointly, None if unknown
     """
 
@@ -176,6 +179,7 @@ class Revision:
     contradicted: bool = False
     fits_elsewhere: bool = False
     dropped: tuple[int, ...] = ()
+    begins: tuple[int, ...] = ()
     innovation: Innovation | None = None
 
     @property
@@ -211,7 +215,8 @@ class Keyframes:
     points : (p, 2) float32 m, end points of valid beams, in base_link at the middle of the sweep
     motions, motion_covariances : (k, 3), (k, 3, 3) as tracked, from the previous keyframe, or from the
         start; for the first keyframe of a session a guess, or NaN
-    sessions : (k,) number of the session, 0, 1, ...; motions connect the keyframes of a session
+    sessions : (k,) number of the session, 0, 1, ...; motions connect the keyframes of a session, see
+        `with_begins`
     placed : (k,) whether the keyframe is located in the map; if not, its pose is in the frame of its
         session, and it is not part of the map
     """
@@ -311,11 +316,12 @@ class Map:
         return "<Map: {} scans, {} keyframes, {} landmarks>".format(*counts)
 
     def revised(self, revision: Revision) -> Map:
-        """Return the map with the poses of a revision."""
+        """Return the map with the poses and sessions of a revision."""
         names = ("poses", "covariances", "placed")
         columns = {name: getattr(self.keyframes, name).copy() for name in names}
         for name in names:
             columns[name][revision.ids] = getattr(revision, name)
+        columns["sessions"] = with_begins(self.keyframes.sessions, revision.begins)
         return replace(self, keyframes=replace(self.keyframes, **columns))
 
     def rows(self) -> PathRows:
@@ -457,6 +463,13 @@ def check_map(name: str, value: object) -> None:
 def _built(arrays: archive.Arrays, about: dict[str, Any]) -> Map:
     parts = layout.from_arrays(arrays)
     return Map(**{**parts, "keyframes": Keyframes(**parts["keyframes"]), "about": about})
+
+
+def with_begins(sessions: Ints, begins: Sequence[int]) -> Ints:
+    """Return the session numbers (k,) of keyframes after sessions begin at some of them, too."""
+    is_first = np.append(True, sessions[1:] != sessions[:-1])
+    is_first[list(begins)] = True
+    return np.cumsum(is_first) - 1
 
 
 @kernel

@@ -12,7 +12,17 @@ from impslam.geometry.chain import advance
 from impslam.geometry.kernels import kernel
 from impslam.geometry.se2 import between, compose, motion_lengths
 from impslam.growing_array import GrowingArray
-from impslam.map import UPPER, Keyframe, Keyframes, Map, PathRows, Revision, Track, poses_in_map
+from impslam.map import (
+    UPPER,
+    Keyframe,
+    Keyframes,
+    Map,
+    PathRows,
+    Revision,
+    Track,
+    poses_in_map,
+    with_begins,
+)
 from impslam.types import Array, Mask, Scan
 
 _DISTINCT = np.ravel_multi_index(UPPER, (3, 3))
@@ -71,9 +81,7 @@ class MapBuilder:
     def revise(self, keyframe: Keyframe, revision: Revision) -> PathRows:
         """Add a keyframe and update revised ones; return the pose at the keyframe's stamp."""
         kept, moved = self._keyframes, len(revision.ids) - 1
-        sessions = kept["sessions"]
-        session = sessions.array[-1] + keyframe.lost if len(sessions) else 0
-        sessions.append(session)
+        self._add_to_session(keyframe, revision.begins)
         kept["stamps"].append(keyframe.stamp)
         kept["motions"].append(keyframe.motion.d_pose)
         kept["motion_covariances"].append(keyframe.motion.covariance)
@@ -96,6 +104,14 @@ class MapBuilder:
             keyframe.stamp_covariance[None],
             keyframe.odometry[None],
         )
+
+    def _add_to_session(self, keyframe: Keyframe, begins: tuple[int, ...]) -> None:
+        sessions = self._keyframes["sessions"]
+        sessions.append(sessions.array[-1] if len(sessions) else 0)
+        if keyframe.lost:
+            begins = (*begins, keyframe.id)
+        if begins:
+            sessions.replace(np.arange(len(sessions)), with_begins(sessions.array, begins))
 
     def _keep(self, keyframe: Keyframe, revision: Revision) -> None:
         kept = self._keyframes

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from tests.estimators.drives import LAP, RING, begun, driven, keyframes, scanned, way
-from tests.estimators.test_sessions import compared
+from tests.estimators.test_sessions import compared, loaded, mapped
 from tests.extractors.scans import room
 from tests.recognition.plans import walls
 
@@ -63,6 +63,16 @@ def test_a_room_like_the_next_one_is_not_taken_for_the_place(hotel, reach, place
 def test_among_equal_rooms_the_robot_stays_unplaced(hotel):
     """The scans fit where matching has placed it, and two closures would be enough there."""
     assert not any(placed_after(hotel, len(THERE), REACH))
+
+
+def test_such_a_gap_begins_a_session_in_the_map_too(hotel, tmp_path):
+    gap = len(THERE)
+    frames = [*hotel[:gap], replace(hotel[gap], reach=REACH), *hotel[gap + 1 :]]
+    made = begun((2.0, 0.0, 0.0))
+    known = mapped(made, frames)
+    assert known.keyframes.sessions.tolist() == [0] * gap + [1] * (len(frames) - gap)
+    again = loaded(known, tmp_path / "map.imp")
+    np.testing.assert_array_equal(again._graph.roots, made._graph.roots)
 
 
 def test_in_a_place_that_is_unique_the_robot_stays_placed():

@@ -21,7 +21,7 @@ from impslam.estimators.sessions import (
 )
 from impslam.geometry.se2 import between
 from impslam.health import ELSEWHERE
-from impslam.map import Map
+from impslam.map import Map, with_begins
 from impslam.map_builder import MapBuilder, blended
 from impslam.recognition.places import Closure
 from impslam.recognition.verify import ClosureStrength, Support
@@ -90,12 +90,17 @@ def test_a_closure_joins_a_session_to_the_map(frames):
     assert revision.covariances[:, 0, 0].max() < 1.0
 
 
-def test_a_map_of_two_sessions_is_continued_unchanged(frames, tmp_path):
-    made = begun(TRUTH[0])
-    file = mapped(made, frames).save(tmp_path / "map.imp")
+def loaded(known, path):
+    """Return an estimator that continues a map from its file."""
     again = Graph()
     again.start(np.zeros(3), models=MODELS)
-    again.resume(Map.load(file))
+    again.resume(Map.load(known.save(path)))
+    return again
+
+
+def test_a_map_of_two_sessions_is_continued_unchanged(frames, tmp_path):
+    made = begun(TRUTH[0])
+    again = loaded(mapped(made, frames), tmp_path / "map.imp")
     assert np.all(again.edges().i == made.edges().i)
     np.testing.assert_array_equal(again._graph.roots, made._graph.roots)
     np.testing.assert_allclose(again._keys.distance, made._keys.distance, atol=1e-9)
@@ -187,6 +192,35 @@ def test_a_robot_that_was_carried_without_notice_is_found_where_the_map_contradi
     assert (
         off[:cut] > 0.1
     ).sum() <= made.spacing / STEP  # less than the distance between two nodes
+
+
+def test_a_map_with_such_a_robot_is_continued_unchanged(carried, tmp_path):
+    """The motion across the place where it was carried connects nothing, here and in the file."""
+    frames, _ = carried
+    made = begun(AGAIN[0])
+    known = mapped(made, frames)
+    np.testing.assert_array_equal(known.keyframes.sessions, made._keys.sessions)
+    again = loaded(known, tmp_path / "map.imp")
+    np.testing.assert_array_equal(again._keys.sessions, made._keys.sessions)
+    assert again.edges().i.tolist() == made.edges().i.tolist()
+    off = np.hypot(*(again.refine().poses - known.keyframes.poses)[:, :2].T)
+    assert off.max() < 0.02
+
+
+def test_no_sweep_is_interpolated_across_a_break(carried):
+    frames, _ = carried
+    known = mapped(begun(AGAIN[0]), frames)
+    first = int(np.argmax(known.keyframes.sessions == 1))
+    anchors, T = np.array([first - 1]), 0.5 * known.keyframes.motions[[first]]
+    halfway = blended(replace(known, anchors=anchors, tracked=T, T_anchor_base=T)).T_anchor_base
+    np.testing.assert_array_equal(halfway, T)
+
+
+def test_sessions_that_begin_are_numbered_once():
+    sessions = np.array([0, 0, 0, 1, 1])
+    assert with_begins(sessions, ()).tolist() == [0, 0, 0, 1, 1]
+    assert with_begins(sessions, (0, 1, 3)).tolist() == [0, 1, 1, 2, 2]
+    assert with_begins(with_begins(sessions, (1,)), (1,)).tolist() == [0, 1, 1, 2, 2]
 
 
 def test_a_second_lap_contradicts_nothing(lap):

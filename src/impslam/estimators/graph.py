@@ -131,6 +131,7 @@ class Graph(Estimator):
             pose[None],
             self._including_scale(covariance[None], pose[None]),
             placed=bool(self._graph.roots[-1] == 0),
+            begins=(keyframe.id,) if keyframe.lost else (),
             **facts,
         )
 
@@ -220,7 +221,13 @@ class Graph(Estimator):
         placed = graph.roots[self._keys.node_before] == 0
         begin = 0 if self._known is None else len(self._known.keyframes)
         ids = np.arange(begin, len(poses))
-        return Revision(ids, poses[begin:], covariances[begin:], placed=placed[begin:])
+        return Revision(
+            ids,
+            poses[begin:],
+            covariances[begin:],
+            placed=placed[begin:],
+            begins=self._keys.begins,
+        )
 
     def _including_scale(self, covariances: Array, poses: Array) -> Array:
         """Return covariances that include that of the scale; those of a frozen map already do."""
@@ -293,10 +300,10 @@ class Graph(Estimator):
         tried = closer.recogniser.counts["attempts"]
         closed = (self._final or self._graph).closures - self._closed_before
         counts = {"loops tried": tried, "loops closed": closed}
-        first = np.unique(self._keys.sessions, return_index=True)[1]
-        if len(first) > 1:
-            pending = np.count_nonzero(self._graph.roots[self._keys.node_before[first]])
-            counts |= {"sessions": len(first), "sessions not found": int(pending)}
+        begins = self._keys.begins
+        if len(begins) > 1:
+            pending = np.count_nonzero(self._graph.roots[self._keys.node_before[list(begins)]])
+            counts |= {"sessions": len(begins), "sessions not found": int(pending)}
         return counts
 
     @property

@@ -110,6 +110,8 @@ class KeyframeLog:
 
     def begin_session(self, row: int) -> None:
         """Begin a session at an earlier keyframe, which is a node."""
+        if row in self.begins:
+            return
         rows = np.arange(row, len(self))
         self._sessions.replace(rows, self.sessions[row:] + 1)
         self._distance.replace(rows, self.distance[row:] + SESSION_GAP)
@@ -166,6 +168,11 @@ class KeyframeLog:
     def sessions(self) -> Ints:
         """Number (k,) of the session of each."""
         return self._sessions.array
+
+    @property
+    def begins(self) -> tuple[int, ...]:
+        """The first keyframe of each session."""
+        return (0, *(np.flatnonzero(np.diff(self.sessions)) + 1).tolist()) if len(self) else ()
 
     @property
     def node_before(self) -> Ints:

@@ -76,8 +76,7 @@ def map_by_rows(log: Path, *settings: str) -> Mapped:
     closer = run.estimator._closer  # type: ignore[attr-defined]  # the graph's
     closer.recogniser.find_closure = timed(closer.recogniser.find_closure, attempts)
     with source:
-        run.robot.streams.choose(source.defaults())
-        for batch in source.batches(1):
+        for batch in run.robot.streams.read(source, 1):
             begin = time.process_time()
             run.feed(batch)
             if any(columns.kind is LaserScan for columns in batch.values()):

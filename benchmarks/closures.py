@@ -92,8 +92,7 @@ def mapped(log: Path) -> tuple[Run, Map, list[float]]:
     recogniser = run.estimator._closer.recogniser  # type: ignore[attr-defined]  # the graph's
     recogniser.find_closure = timed(recogniser.find_closure, attempts)
     with source:
-        run.robot.streams.choose(source.defaults())
-        for batch in source.batches():
+        for batch in run.robot.streams.read(source):
             run.feed(batch)
     run.flush()
     return run, run.refined(), attempts

@@ -128,8 +128,7 @@ def read(data: Path, name: str, seed: int = 0) -> Log:
     config, source = open_log(data / CLEAN[name], None, PLAIN)
     robot, sensed = config.make_robot(), []
     with source:
-        robot.streams.choose(source.defaults())
-        for batch in source.batches():
+        for batch in robot.streams.read(source):
             sensed += robot.sense(batch)
         sensed += robot.flush()
     pairs = rows_of(sensed)

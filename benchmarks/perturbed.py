@@ -101,8 +101,7 @@ def map_perturbed(log: Path, seed: int, factor: float) -> tuple[Run, Source, lis
     config, source = open_log(log, None, PLAIN)
     run = Run(config)
     with source:
-        run.robot.streams.choose(source.defaults())
-        read = list(source.batches())
+        read = list(run.robot.streams.read(source))
     for batch in perturbed(read, seed, factor) if factor else read:
         run.feed(batch)
     run.flush()

@@ -91,8 +91,7 @@ def map_log(log: Path, way: Variant) -> Map:
     config, source = open_log(log, None, [*(GRAPH if simulated else ()), *plain, *way.settings])
     run = Run(config)
     with source:
-        run.robot.streams.choose(source.defaults())
-        batches = list(source.batches())
+        batches = list(run.robot.streams.read(source))
     worse = way.bad > 0.0 and not simulated
     for batch in perturbed(batches, way.seed, way.bad) if worse else batches:
         run.feed(batch)

@@ -32,8 +32,7 @@ def stopped(log: Path, scans: int) -> Map:
     config, source = open_log(log)
     course = Run(config)
     with source:
-        course.robot.streams.choose(source.defaults())
-        for batch in source.batches(64):
+        for batch in course.robot.streams.read(source, 64):
             course.feed(batch)
             if course.scans >= scans:
                 break

@@ -59,8 +59,7 @@ def sense(log: str) -> Sensed:
     config, source = open_log(log, None, ())
     robot: Robot = config.make_robot()
     with source:
-        robot.streams.choose(source.defaults())
-        found = [pair for batch in source.batches() for pair in robot.sense(batch)]
+        found = [pair for batch in robot.streams.read(source) for pair in robot.sense(batch)]
     return [*found, *robot.flush()]
 
 

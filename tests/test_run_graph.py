@@ -82,8 +82,7 @@ def cut(log, folder, rows, *settings):
     """Map the log in batches of so many rows, and write the folder."""
     course = Run(load("default", settings), [Recorder(folder)])
     with recognise(log)(path=log) as source:
-        course.robot.streams.choose(source.defaults())
-        for batch in source.batches(rows):
+        for batch in course.robot.streams.read(source, rows):
             course.feed(batch)
         course.flush()
     course.finish(source)

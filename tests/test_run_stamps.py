@@ -209,8 +209,7 @@ def dead_reckoned(log, rows):
     config = load("default", ["tracker.kind=odometry"])
     robot, found = config.make_robot(), []
     with recognise(log)(path=log) as source:
-        robot.streams.choose(source.defaults())
-        for batch in source.batches(rows):
+        for batch in robot.streams.read(source, rows):
             found += robot.sense(batch)
     found += robot.flush()
     return np.concatenate([motions.d_pose for motions, _ in found]), robot

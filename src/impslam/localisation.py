@@ -108,8 +108,7 @@ def localise(
 def _scans(robot: Robot, source: Source) -> Iterator[tuple[float, Scan, Array]]:
     """Yield stamp, scan and the motion (3,) from the middle of its sweep to the stamp."""
     with source:
-        robot.streams.choose(source.defaults())
-        for batch in source.batches():
+        for batch in robot.streams.read(source):
             yield from _rows(robot.sense(batch))
         yield from _rows(robot.flush())
 

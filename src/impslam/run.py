@@ -117,8 +117,7 @@ def map_log(
     place: tuple[int, int | None] = 0, None
     current.estimator.check_with(lambda: report(*place))
     with source, current.salvaging(source):
-        current.robot.streams.choose(source.defaults())
-        for batch in source.batches():
+        for batch in current.robot.streams.read(source):
             current.feed(batch)
             place = source.position, source.total  # known only while the source is open
             report(*place)

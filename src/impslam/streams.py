@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
-from impslam.columns import Batch, Columns
+from impslam.columns import ROWS, Batch, Columns
 from impslam.component import near_miss
 from impslam.errors import ConfigError
+from impslam.sources.base import Source
 from impslam.types import Message
 
 
@@ -63,6 +64,11 @@ class Streams:
         for reader in self._all:
             if not reader.stream and reader.consumes in defaults:
                 reader.stream = defaults[reader.consumes]
+
+    def read(self, source: Source, rows: int = ROWS) -> Iterator[Batch]:
+        """Yield the batches of an open log, whose default streams are read where the config names none."""
+        self.choose(source.defaults())
+        yield from source.batches(rows)
 
     def check(self, streams: Mapping[str, bool]) -> None:
         """Raise `ConfigError` if the config names a stream that the log lacks or that cannot be mapped.

@@ -66,8 +66,7 @@ def record(
     """Read a log; call `progress` after each batch. See `record_batches`."""
     with source:
         streams = _streams(config)
-        streams.choose(source.defaults())
-        batches = _with_progress(source.batches(), progress)
+        batches = _with_progress(streams.read(source), progress)
         return _record(streams, first_lidar(config)[0], batches)
 
 

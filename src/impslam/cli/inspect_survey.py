@@ -48,8 +48,7 @@ class Survey:
 
     def read(self, source: Source) -> Iterator[float]:
         """Read an open log; yield the stamps to show progress."""
-        self._robot.streams.choose(source.defaults())
-        for batch in source.batches():
+        for batch in self._robot.streams.read(source):
             self._head.add(batch)
             self._add_motions(self._robot.sense(batch))
             for stream, message in log_order(batch):

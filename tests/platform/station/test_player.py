@@ -17,6 +17,7 @@ from impslam.health import NO_FAULT
 from impslam.observers.base import Observer
 from impslam.observers.live_view import LiveView
 from impslam.observers.recorder import Recorder
+from impslam.open_log import open_log
 from impslam.platform.station import player as module
 from impslam.platform.station.pace import Pace
 from impslam.platform.station.player import Player, play_live
@@ -52,6 +53,11 @@ class Moments(Observer):
 def player(messages, tmp_path, observers=(), view=None):
     source = Played.of(messages, tmp_path)
     return Player(load("imp"), source, observers, view or LiveView(), lambda _: None)
+
+
+def carmen(kind, stamp, metres):
+    """Return a line of a CARMEN log: 181 equal ranges at the origin."""
+    return f"{kind} 181 {f'{metres:.2f} ' * 181}0 0 0 0 0 0 {stamp:.2f} host {stamp:.2f}\n"
 
 
 def scans(messages):
@@ -188,6 +194,24 @@ class Counted(Played):
     def _messages(self):
         for self._read, located in enumerate(super()._messages()):
             yield located
+
+
+def test_a_replay_reads_the_same_lidar_as_a_run(tmp_path):
+    """The first scan of the log is not of the lidar that is read by default."""
+    log = tmp_path / "two.log"
+    lines = [
+        carmen(kind, 0.2 * k, m) for k in range(20) for kind, m in (("RLASER", 2), ("FLASER", 3))
+    ]
+    log.write_text("".join(lines))
+    both = ['source.wanted=["RLASER"]']
+    known = map_log(*open_log(log, None, both))
+    config, source = open_log(log, None, both)
+    playing = Player(config, source, (), LiveView(), lambda _: None)
+    playing.set_speed(INF)
+    playing.start()
+    replayed = playing.wait(20.0)
+    np.testing.assert_array_equal(replayed.keyframes.points, known.keyframes.points)
+    assert np.linalg.norm(known.keyframes.points[0]) == pytest.approx(3.0)
 
 
 def test_seeking_plays_unpaced_and_pauses_at_the_target(room, tmp_path):

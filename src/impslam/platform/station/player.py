@@ -198,7 +198,7 @@ class Player:
 
     def _play(self) -> None:
         with self._source as source, self._run.salvaging(source):
-            for batch in source.batches(rows=1):
+            for batch in self._run.robot.streams.read(source, rows=1):
                 if not self._wait_until_due(batch):
                     self._phase = "writing"
                     raise QuitError("the replay was stopped before the end of the log")

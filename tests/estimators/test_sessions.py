@@ -11,8 +11,10 @@ from tests.filters.worlds import MODELS
 from tests.numeric import wrapped
 from tests.recognition.plans import walls
 
+from impslam.errors import NumericalError
 from impslam.estimators.graph import Graph
 from impslam.estimators.loop_closing import Comparison, LoopCloser, LoopSearch, PendingClosure
+from impslam.estimators.pose_graph import PoseGraph
 from impslam.estimators.sessions import (
     MIN_CLOSURES,
     MIN_SEARCH_DISTANCE,
@@ -205,6 +207,26 @@ def test_a_map_with_such_a_robot_is_continued_unchanged(carried, tmp_path):
     assert again.edges().i.tolist() == made.edges().i.tolist()
     off = np.hypot(*(again.refine().poses - known.keyframes.poses)[:, :2].T)
     assert off.max() < 0.02
+
+
+def test_separated_nodes_whose_closures_have_no_solution_stay_pending(carried, monkeypatch):
+    """What was assumed to join them is forgotten, so that the map before is as good as without them."""
+    frames, truth = carried
+    made, solve, failed = begun(AGAIN[0]), PoseGraph.solve, []
+
+    def failing(self):
+        if made._keys.sessions.any() and not failed:
+            failed.append(made._sessions)
+            raise NumericalError("no convergence")
+        solve(self)
+
+    monkeypatch.setattr(PoseGraph, "solve", failing)
+    known = mapped(made, frames)
+    assert made._sessions is not failed[0]
+    first = int(np.argmax(known.keyframes.sessions == 1))
+    np.testing.assert_array_equal(known.keyframes.placed, np.arange(len(frames)) < first)
+    off = np.hypot(*(known.keyframes.poses - truth)[:first, :2].T)
+    assert (off > 0.1).sum() <= made.spacing / STEP
 
 
 def test_no_sweep_is_interpolated_across_a_break(carried):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from copy import copy
 from dataclasses import replace
@@ -115,6 +115,7 @@ class Graph(Estimator):
             except NumericalError as error:
                 failed = f"no loop is closed at {keyframe.stamp:.3f} s: {error}"
                 refused = "; ".join(filter(None, (refused, failed)))
+                moved = bool(self._graph.roots[-1] != 0)  # nodes may be separated
         facts: dict[str, Any] = {
             "refused": refused,
             "dropped": dropped,
@@ -180,40 +181,53 @@ class Graph(Estimator):
                 self._close_loops(node)
 
     def _close_loops(self, node: int) -> bool:
-        """Search closures of a node, which is not the newest; return whether the nodes have moved.
-
-        Closures that leave the graph without a solution are removed, else no later one would have any.
-        """
-        before, assumed = self._graph.closures, self._sessions.is_assumed
+        """Search closures of a node, which is not the newest; return whether the nodes have moved."""
         if node < 1:
             return False
-        parts = node, self._keys, self._graph
-        moved = self._closer.search(*parts) or self._sessions.place(*parts)
-        moved |= self._separate_contradicted(node)
+        keys, graph = self._keys, self._graph
+        moved = self._joined(
+            lambda: (
+                self._closer.search(node, keys, graph) or self._sessions.place(node, keys, graph)
+            )
+        )
+        first = self._separate_contradicted()
+        if first is not None:
+            self._joined(lambda: self._placed_again(first, node))
+        return moved or first is not None
+
+    def _placed_again(self, first: int, last: int) -> bool:
+        """Try to place the nodes that have just been separated; their covariances change in any case."""
+        for node in range(first, last + 1):
+            self._sessions.place(node, self._keys, self._graph)
+        return True
+
+    def _joined(self, close: Callable[[], bool]) -> bool:
+        """Call a function that adds closures and returns whether nodes move; solve the graph if they do.
+
+        If the graph then has no solution, the closures are removed, else no later ones would have any.
+        """
+        graph, sessions = copy(self._graph), self._sessions.copy()
+        moved = close()
         if moved:
             try:
                 self._graph.solve()
             except NumericalError:
-                self._graph.remove_closures(self._graph.closures - before)
+                self._graph, self._sessions = graph, sessions
                 raise
-        if assumed:
-            self._sessions.confirm(self._graph.closures - before, self._graph)
+        if sessions.is_assumed:
+            self._sessions.confirm(self._graph.closures - graph.closures, self._graph)
         return moved
 
-    def _separate_contradicted(self, node: int) -> bool:
-        """Take the newest nodes out of the map if it contradicts several in a row; return whether it does.
+    def _separate_contradicted(self) -> int | None:
+        """Take the newest nodes out of the map if it contradicts several in a row; return the first one.
 
         The robot was carried, or its pose was lost, before the first of them without notice.
         """
         if len(self._closer.contradicted) < MIN_CONTRADICTIONS:
-            return False
+            return None
         self._closer.contradicted = []
         first = self._closer.doubtful
-        if not self._sessions.separate(first, self._keys, self._graph):
-            return False
-        for later in range(first, node + 1):
-            self._sessions.place(later, self._keys, self._graph)
-        return True
+        return first if self._sessions.separate(first, self._keys, self._graph) else None
 
     def _revise_all(self, graph: PoseGraph) -> Revision:
         """Return the poses of all keyframes according to a graph."""

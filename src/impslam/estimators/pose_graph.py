@@ -134,13 +134,6 @@ class PoseGraph:
         self.covariances[later] = turn @ self.covariances[later] @ turn.T
         return True
 
-    def remove_closures(self, closures: int) -> None:
-        """Remove the newest closures; there must be no later motion."""
-        self.closures -= closures
-        self._roots = None
-        for column in self._edges:
-            column.shorten(closures)
-
     def cut(self, node: int) -> tuple[Array, Array] | None:
         """Separate the nodes from one on, which then are a session of their own.
 
@@ -154,6 +147,7 @@ class PoseGraph:
         if len(crossing) != 1 or (self.hosts[node:] < node).any():
             return None
         information = edges.information[crossing[0]]
+        self.closures -= int(np.isfinite(edges.kernel[crossing[0]]))
         self._roots = None
         for column in self._edges:
             column.remove(crossing)

@@ -10,6 +10,7 @@ agrees with odometry.
 from __future__ import annotations
 
 import math
+from copy import copy
 from typing import NamedTuple
 
 import numpy as np
@@ -66,6 +67,13 @@ class SessionPlacer:
         self._closures: list[PendingClosure] = []
         self._assumed: int | None = None
         self._is_contradicted = False  # the map contradicts the place by odometry
+
+    def copy(self) -> SessionPlacer:
+        """Return a copy with the state of this moment; both use the same closer and finder."""
+        other = copy(self)
+        other._breaks, other._compared = self._breaks.copy(), self._compared.copy()
+        other._closures = self._closures.copy()
+        return other
 
     @property
     def is_assumed(self) -> bool:

@@ -229,6 +229,10 @@ class Run:
         """Number of sweeps used so far, without those of the map that is continued."""
         return len(self._builder) - self._known_sweeps
 
+    def newest_health(self) -> tuple[int, str]:
+        """Return the reason of the newest scan's health, as a code and in words."""
+        return self._health.newest
+
     @property
     def odometry_notice(self) -> str:
         """One line on how much the scale of odometry differs from the config, or ""."""

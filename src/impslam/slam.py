@@ -255,7 +255,7 @@ class _Newest(Observer):
 
     def revise(self, keyframe: Keyframe, revision: Revision, path: PathRows) -> None:
         del keyframe
-        self.path, self.placed = path, bool(np.all(revision.placed))
+        self.path, self.placed = path, revision.is_placed
 
 
 _Field: TypeAlias = tuple[str, npt.ArrayLike, tuple[int, ...]]

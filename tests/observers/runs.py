@@ -10,6 +10,7 @@ from impslam.geometry.se2 import between, compose, compose_jacobians, inverse, t
 from impslam.map import Keyframe, Revision, Track
 from impslam.map_builder import MapBuilder
 from impslam.observers.base import Dropped, Outcome
+from impslam.observers.health import HealthMonitor
 from impslam.types import Increment, Landmark, LaserScan, Match, Observation, Scan, TruePose
 
 HALF = 3.0
@@ -69,7 +70,9 @@ class Scripted:
     """A run whose results are given: its map grows, and observers see what a run shows them."""
 
     def __init__(self, *observers, landmarks=tuple):
-        self.observers, self.builder, self.landmarks = observers, MapBuilder(), landmarks
+        self._health = HealthMonitor()
+        self.observers = (self._health, *observers)
+        self.builder, self.landmarks = MapBuilder(), landmarks
         self._last, self._count = None, 0
 
     def step(self, result, *, keyframe=True):
@@ -109,6 +112,9 @@ class Scripted:
         self._last = result
         for observer in self.observers:
             observer.revise(keyframe, revision, path)
+
+    def newest_health(self):
+        return self._health.newest
 
     def keyframes(self):
         return self.builder.keyframes()

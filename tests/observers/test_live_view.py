@@ -15,6 +15,7 @@ from tests.rings import GRAPH, ring
 
 from impslam.columns import single_row
 from impslam.geometry.se2 import compose, inverse, transform
+from impslam.health import MISALIGNED
 from impslam.maps.files import FREE, OCCUPIED, UNKNOWN, map_image
 from impslam.observers import live_view as module
 from impslam.observers.base import Observer
@@ -423,6 +424,14 @@ def test_a_late_picture_of_the_previous_map_is_not_shown(monkeypatch):
 
 
 # --------------------------------------------------------------------------- health
+
+
+def test_the_health_is_that_of_the_run():
+    """Also if the whole log has a fault, of which only the run knows."""
+    view, run = begun()
+    run.newest_health = lambda: (MISALIGNED, "turned by 5.0 deg")
+    run.step(next(make_results(1)))
+    assert (view.snapshot().state, view.snapshot().why) == ("DEGRADED", "turned by 5.0 deg")
 
 
 class Words(Observer):

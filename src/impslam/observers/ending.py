@@ -9,7 +9,7 @@ from impslam.types import Array
 
 
 class EndOfRun(TruthRecorder):
-    """Keeps the map and outcome of a run, and the true pose at the last stamp."""
+    """Keeps the map and outcome of a run; its poses are those of the last sweep located in the map."""
 
     known: Map | None = None
     outcome: Outcome | None = None
@@ -25,13 +25,13 @@ class EndOfRun(TruthRecorder):
 
     @property
     def odometry(self) -> Array | None:
-        """The last pose (3,) by dead reckoning."""
-        return None if self.known is None else self.known.odometry_poses[-1]
+        """The pose (3,) of the same sweep by dead reckoning."""
+        return None if self.known is None else self.known.odometry()[-1, 1:]
 
     @property
     def true(self) -> Array | None:
-        """The true pose (3,) at the last scan's stamp, if the log contains it."""
+        """The true pose (3,) at the same stamp, if the log contains it."""
         if self.known is None:
             return None
-        rows = self.path[self.path[:, 0] == self.known.stamps[-1]]
+        rows = self.path[self.path[:, 0] == self.known.path()[-1, 0]]
         return rows[-1, 1:] if len(rows) else None

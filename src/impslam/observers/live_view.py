@@ -12,13 +12,12 @@ from typing import Protocol
 import numpy as np
 
 from impslam.geometry.se2 import compose, inverse, transform
-from impslam.health import DEGRADED, LOST, STATES, TRACKING, state_of
+from impslam.health import DEGRADED, LOST, NONE, STATES, TRACKING, state_of
 from impslam.map import Keyframe, Keyframes, Map, PathRows, Revision, Track
 from impslam.map_builder import valid_points
 from impslam.maps.grid import OccupancyGrid
 from impslam.observers.base import Observer, Outcome
 from impslam.observers.grid_picture import GridPicture, paint
-from impslam.observers.health import HealthMonitor
 from impslam.observers.thin_path import Points, ThinPath
 from impslam.observers.true_pose import TruthInMap
 from impslam.types import Array, Landmark, Scan, TruePose
@@ -107,6 +106,9 @@ class LiveRun(Protocol):
     def keyframes(self) -> Keyframes:
         """Return the current keyframes; faster than `map`."""
 
+    def newest_health(self) -> tuple[int, str]:
+        """Return the reason of the newest scan's health, as a code and in words."""
+
 
 class LiveView(Observer):
     """Keeps a snapshot of a run that any thread can read.
@@ -124,7 +126,7 @@ class LiveView(Observer):
 
     def _reset(self, run: LiveRun | None, resolution: float) -> None:
         self._run, self._grid = run, OccupancyGrid(resolution)
-        self._path, self._health = ThinPath(), HealthMonitor()
+        self._path = ThinPath()
         self._expected: deque[tuple[float, float]] = deque(maxlen=MAX_EXPECTED)
         self._truth = TruthInMap()
         self._placed = True
@@ -153,17 +155,14 @@ class LiveView(Observer):
         """Show the newest sweep of a track."""
         row = track.rows.stop - 1
         points = _points(track.sweeps.scan(row), track.sweeps.T_middle_stamp[row])
-        self._health.follow(track, path)
         self._extend_path(path, track.anchor, track.T_anchor_base)
         self._show(path, points)
 
     def revise(self, keyframe: Keyframe, revision: Revision, path: PathRows) -> None:
         """Show a keyframe and its revision."""
         self._stale = True
-        placed = np.broadcast_to(revision.placed, revision.ids.shape)
-        self._placed = bool(placed[revision.ids == keyframe.id].all())
+        self._placed = revision.is_placed
         points = _points(keyframe.scan, keyframe.T_keyframe_stamp)
-        self._health.revise(keyframe, revision, path)
         if len(revision.ids) > 1 and self._run is not None:
             self._path.move(self._run.keyframes().poses)
         self._extend_path(path, keyframe.id, keyframe.T_keyframe_stamp[None])
@@ -202,7 +201,7 @@ class LiveView(Observer):
 
     def _state(self) -> tuple[str, str]:
         """Return the state of the newest scan and the reason."""
-        reason, why = self._health.newest
+        reason, why = (NONE, "") if self._run is None else self._run.newest_health()
         return STATES[state_of(reason)], why
 
     def show_dead_reckoned(self, path: PathRows, silent: float) -> None:

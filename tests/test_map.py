@@ -16,6 +16,7 @@ from impslam.errors import ImpError
 from impslam.geometry.se2 import compose
 from impslam.map import Keyframe, Map, Revision, Track
 from impslam.map_builder import MapBuilder, blended
+from impslam.maps.grid import OccupancyGrid
 from impslam.maps.layout import layout, undriven
 from impslam.types import NO_COVARIANCE, NO_EDGES, Edges, Increment, Landmark, Observation, Scan
 
@@ -509,6 +510,15 @@ def test_memory_is_not_taken_by_a_lie(file):
     )
     rewritten(file, {"stamps": stream.getvalue() + bytes(72)})
     refuses(file, "stamps has another length than declared")
+
+
+def test_a_keyframe_that_is_placed_later_is_drawn(known):
+    keyframes, grid, whole = known.keyframes, OccupancyGrid(), OccupancyGrid()
+    late = np.arange(len(keyframes)) != 1
+    replace(keyframes, placed=late).draw(grid)
+    keyframes.draw(grid)
+    keyframes.draw(whole)
+    np.testing.assert_array_equal(grid.logodds, whole.logodds)
 
 
 def test_some_keyframes_take_their_points_along():

@@ -254,6 +254,9 @@ class Keyframes:
         """
         poses, starts, points = self.poses, self.starts, self.points
         if not self.placed.all():
+            poses = np.where(
+                self.placed[:, None], poses, np.nan
+            )  # one that is placed later has moved
             points = points[np.repeat(self.placed, np.diff(starts))]
             lengths = np.where(self.placed, np.diff(starts), 0)
             starts = np.concatenate([[0], np.cumsum(lengths)])

@@ -1,10 +1,12 @@
 """Which beams of a reference scan a motion changes."""
 
+import math
+
 import numpy as np
 import pytest
 
 from impslam.tracking.beams import Geometry
-from impslam.tracking.reference_scan import changed_beam, ranges_at_once
+from impslam.tracking.reference_scan import beam_towards, changed_beam, ranges_at_once
 
 ANGLES = np.linspace(-1.0, 1.0, 201)
 WALL = 3.0 / np.cos(ANGLES)  # a wall across the path, 3 m ahead
@@ -25,6 +27,24 @@ def test_a_point_is_seen_by_the_beam_in_its_direction_after_the_motion():
     x, y = POINTS[120] - motion[:2]
     assert k == round((np.arctan2(y, x) - 0.2 + 1.0) / 0.01)
     assert predicted == pytest.approx(np.hypot(x, y))
+
+
+@pytest.mark.parametrize("spacing", [1.0, -1.0])
+@pytest.mark.parametrize(
+    ("first", "beams", "off", "nearest"),
+    [
+        (-135, 271, -0.3, 0),
+        (-135, 271, 270.3, 270),
+        (-135, 271, -0.7, -1),
+        (0, 360, -0.3, 0),
+        (0, 360, 359.6, 0),
+    ],
+)
+def test_the_beam_towards_a_direction_is_the_nearest_one(spacing, first, beams, off, nearest):
+    geometry = Geometry(np.zeros(3), math.radians(first), math.radians(spacing))
+    direction = geometry.first + math.radians(off * spacing)
+    for turns in (-1, 0, 1):
+        assert beam_towards(direction + turns * math.tau, beams, geometry) == nearest
 
 
 def test_an_invalid_point_changes_nothing():

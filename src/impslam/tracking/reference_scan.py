@@ -70,9 +70,10 @@ def beam_towards(direction: float, beams: int, geometry: Geometry) -> int:
         return -1
     angle = direction - geometry.first
     angle -= 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)
-    if geometry.spacing * angle < 0.0:
+    k = math.floor(angle / geometry.spacing + 0.5)
+    if k < 0:
         angle += math.copysign(2.0 * math.pi, geometry.spacing)
-    k = int(angle / geometry.spacing + 0.5)
+        k = math.floor(angle / geometry.spacing + 0.5)
     return k if k < beams else -1
 
 

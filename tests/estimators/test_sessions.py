@@ -13,6 +13,7 @@ from tests.recognition.plans import walls
 
 from impslam.errors import NumericalError
 from impslam.estimators.graph import Graph
+from impslam.estimators.keyframe_log import revised
 from impslam.estimators.loop_closing import Comparison, LoopCloser, LoopSearch, PendingClosure
 from impslam.estimators.pose_graph import PoseGraph
 from impslam.estimators.sessions import (
@@ -27,6 +28,7 @@ from impslam.map import Map, with_begins
 from impslam.map_builder import MapBuilder, blended
 from impslam.recognition.places import Closure
 from impslam.recognition.verify import ClosureStrength, Support
+from impslam.types import NO_EDGES
 
 TRUTH = way(*LAP[:4])
 CUT = 60
@@ -106,6 +108,18 @@ def test_a_map_of_two_sessions_is_continued_unchanged(frames, tmp_path):
     assert np.all(again.edges().i == made.edges().i)
     np.testing.assert_array_equal(again._graph.roots, made._graph.roots)
     np.testing.assert_allclose(again._keys.distance, made._keys.distance, atol=1e-9)
+
+
+def test_a_map_without_a_graph_keeps_its_poses(tmp_path, rng):
+    """Its estimator corrects the poses of landmarks and keyframes, but not odometry's motions."""
+    known = mapped(begun(TRUTH[0]), keyframes(RING, TRUTH))
+    rows = known.keyframes
+    drift = np.array([0.0, 0.0, 0.01]) + rng.normal(0.0, 0.01, rows.motions.shape)
+    rows = replace(rows, motions=rows.motions + drift)
+    made = loaded(replace(known, keyframes=rows, edges=NO_EDGES), tmp_path / "map.imp")
+    off = wrapped(revised(made._keys, made._graph) - rows.poses, 2)
+    assert np.abs(off).max() < 1e-9
+    assert np.hypot(*(made.refine().poses - rows.poses)[:, :2].T).max() < 0.05  # matched anew
 
 
 @pytest.mark.parametrize("stop", [40, 61, 90])

@@ -41,10 +41,12 @@ def restored(known: Map, spacing: float, *, frozen: bool = False) -> Restored:
     """Return the keyframes and the graph of a map, with nodes every `spacing` m as in the original run.
 
     Poses are from the solution of the graph, i.e. before the joint refinement of all keyframes, because
-    motions continue from there. With `frozen` they are those of the map, and do not change.
+    motions continue from there. With `frozen` they are those of the map, and do not change. A map without
+    edges has its motions from the poses, too: its tracker need not have matched scans, and its estimator
+    has corrected only the poses.
     """
     rows = _usable(known.keyframes)
-    if frozen:
+    if frozen or not len(known.edges.i):
         rows = replace(rows, motions=undriven(rows.poses)["motions"])
     nodes = _nodes(rows, known.edges, spacing)
     keys = _keyframe_log(rows, nodes)

@@ -9,7 +9,7 @@ robot has moved, so such scans are held back and not dropped.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,11 +17,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from impslam.component import shorten
-from impslam.errors import ConfigError
+from impslam.errors import ConfigError, SourceError
 from impslam.geometry.kernels import plain
 from impslam.geometry.se2 import between, compose, compose_uncertain, inverse
 from impslam.map import Map, Track
 from impslam.observers.base import Outcome
+from impslam.provenance import fingerprint
 from impslam.types import Array
 
 
@@ -244,6 +245,23 @@ def logs_of(known: Map) -> list[dict[str, Any]]:
         return list(logs)
     names = ("log", "log_sha256")
     return [{name: about.get(name, "") for name in names} | {"scans": len(known.stamps)}]
+
+
+def mapped_logs(logs: Iterable[dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Return the logs with scans in the map by their hash; those without a hash are left out."""
+    return {log["log_sha256"]: log for log in logs if log["scans"] and log.get("log_sha256")}
+
+
+def refuse_earlier(begin: KnownMap, log: Path) -> None:
+    """Raise `SourceError` if the map to continue has scans of a log, and of another log after it.
+
+    Only the log that was mapped last can be continued; another one would be mapped twice.
+    """
+    earlier = {} if begin.frozen else mapped_logs(logs_of(begin.map)[:-1])
+    if found := earlier and earlier.get(fingerprint(log)):
+        raise SourceError(
+            f"{log}: {found['scans']} scans of it are in the map already; give another log"
+        )
 
 
 def _is_log(value: object) -> bool:

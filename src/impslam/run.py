@@ -21,7 +21,7 @@ import numpy as np
 from impslam.bookkeeping import Stopwatch, about, dropped, seal
 from impslam.columns import Batch, Motions, Sweeps, batches
 from impslam.config import Config
-from impslam.continuing import Continuation, KnownMap, begin_with
+from impslam.continuing import Continuation, KnownMap, begin_with, refuse_earlier
 from impslam.diagnosis.diagnose import find_log_fault
 from impslam.diagnosis.odometry_watch import OdometryWatch
 from impslam.errors import Interrupted, SourceError, in_a_line
@@ -70,7 +70,7 @@ def run(  # noqa: PLR0913  # each is a choice that a user may make
     Raises
     ------
     SourceError
-        If the log cannot be read, or contains no usable scan or no odometry.
+        If the log cannot be read, contains no usable scan or no odometry, or is in `known` already.
     ConfigError
         If the config is invalid.
 
@@ -112,6 +112,8 @@ def map_log(
     fault: LogFault = NO_FAULT,
 ) -> Map:
     """Map the log of a source; see `run`. `fault` is one of the whole log, which affects all poses."""
+    if begin is not None:
+        refuse_earlier(begin, source.path)
     current = Run(config, observers, begin, fault)
     report = progress or _ignore
     place: tuple[int, int | None] = 0, None

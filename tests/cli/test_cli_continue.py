@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -25,6 +26,17 @@ def test_a_log_that_is_already_in_the_map_is_rejected(imp, room, done, tmp_path)
     said = imp("run", room, *GRAPH, "--map", done / "map.imp", "-o", tmp_path / "again")
     assert said.code == 2
     assert "all of its 100 scans are in the map already" in said.err
+    assert not (tmp_path / "again").exists()
+
+
+def test_a_log_that_was_mapped_before_another_one_is_rejected(imp, room, done, tmp_path) -> None:
+    known = Map.load(done / "map.imp")
+    (first,) = known.about["logs"]
+    logs = [{**first, "scans": 60}, {"log": "later.mcap", "log_sha256": "ab", "scans": 40}]
+    file = replace(known, about={**known.about, "logs": logs}).save(tmp_path / "two.imp")
+    said = imp("run", room, *GRAPH, "--map", file, "-o", tmp_path / "again")
+    assert said.code == 2
+    assert f"{room}: 60 scans of it are in the map already; give another log" in said.err
     assert not (tmp_path / "again").exists()
 
 

@@ -160,6 +160,14 @@ def test_merge_names_the_map_that_does_not_fit(imp, office, tmp_path) -> None:
     assert not (tmp_path / "both.imp").exists()
 
 
+def test_merge_names_the_log_that_two_maps_contain(imp, lived_in, tmp_path) -> None:
+    said = imp("map", "merge", lived_in, lived_in, "-o", tmp_path / "both.imp")
+    assert said.code == 2
+    assert f"{lived_in} and {lived_in} both contain the log room.mcap, whose scans" in said.err
+    assert said.err.count("\n") == 1
+    assert not (tmp_path / "both.imp").exists()
+
+
 @pytest.fixture(scope="module")
 def lived_in(room: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The map's file of a drive through a small room."""

@@ -1,5 +1,7 @@
 """Maps of several drives through one building become one, or it is told why not."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from tests.extractors.scans import room
@@ -9,7 +11,7 @@ from tests.recognition.plans import OFFICE, way
 
 from impslam.errors import ConfigError
 from impslam.map import Map
-from impslam.maps.merge import NotMergedError, merged
+from impslam.maps.merge import NotMergedError, check_logs, merged
 
 LEFT = np.concatenate([way(-7.0, -0.3, 0.0, -0.2, 16), way(0.0, 0.2, -7.0, 0.3, 16)])
 MIDDLE = np.concatenate([way(-5.0, 0.2, 5.0, -0.2, 22), way(5.0, 0.3, -2.5, 0.0, 16)])
@@ -75,6 +77,35 @@ def test_a_map_of_another_building_is_named():
     with pytest.raises(NotMergedError, match="map 3: they have no place in common") as caught:
         merged(one, other, hall)
     assert caught.value.which == 2
+
+
+def logs(**scans):
+    """What a map of these logs tells of them."""
+    named = [{"log": f"{name}.log", "log_sha256": name, "scans": n} for name, n in scans.items()]
+    return {"log": named[0]["log"], "logs": named}
+
+
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [
+        ({"monday": 48}, {"monday": 48}),
+        ({"monday": 48}, {"monday": 20, "tuesday": 28}),
+        ({"tuesday": 8, "monday": 40}, {"monday": 20, "wednesday": 28}),
+    ],
+)
+def test_maps_that_contain_the_same_log_are_refused(first, second):
+    one, other = drives(LEFT[:4], MIDDLE[:4])
+    maps = replace(one, about=logs(**first)), replace(other, about=logs(**second))
+    with pytest.raises(ConfigError, match=r"map 2 and map 3 both contain the log monday\.log, "):
+        merged(mapped(OFFICE, LEFT[:4]), *maps)
+
+
+def test_maps_share_no_log_that_is_unknown_or_without_scans():
+    one, other = drives(LEFT[:4], MIDDLE[:4])
+    there = {"monday": 48, "localised": 0}, {"localised": 0, "": 48}
+    check_logs([one, other], ["a", "b"])
+    check_logs([replace(one, about=logs(**about)) for about in there], ["a", "b"])
+    check_logs([replace(one, about=logs(**{"": 48}))] * 2, ["a", "b"])
 
 
 def test_nothing_is_changed_where_nothing_is_merged():

@@ -25,13 +25,14 @@ def merge(
     """
     from impslam.cli.map_work import check_map_path, progress_line
     from impslam.map import Map
-    from impslam.maps.merge import NotMergedError, merged
+    from impslam.maps.merge import NotMergedError, check_logs, merged
 
     if len(files) < 2:
         raise ConfigError("merge needs two or more maps: imp map merge A.imp B.imp -o C.imp")
     check_map_path(output, files)
     quiet = common is not None and common.quiet
     maps = [Map.load(file) for file in files]
+    check_logs(maps, [str(file) for file in files])
     with progress_line("merging", quiet) as progress:
         try:
             known = merged(*maps, progress=progress.step)

@@ -7,14 +7,14 @@ are refined jointly, and landmarks are estimated again.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
 
 from impslam.config import Config, load
-from impslam.continuing import logs_of
-from impslam.errors import ImpError
+from impslam.continuing import logs_of, mapped_logs
+from impslam.errors import ConfigError, ImpError
 from impslam.estimators.graph import Graph
 from impslam.map import Map, check_map
 from impslam.map_builder import blended
@@ -50,7 +50,7 @@ def merged(first: Map, *others: Map, progress: Progress = lambda what, share: No
     NotMergedError
         If the relative pose of one of them cannot be determined.
     ConfigError
-        If one of them is not a `Map`, such as the path of its file.
+        If one of them is not a `Map`, such as the path of its file, or two contain the same log.
 
     Examples
     --------
@@ -77,6 +77,7 @@ def merged(first: Map, *others: Map, progress: Progress = lambda what, share: No
     """
     for which, one in enumerate((first, *others), 1):
         check_map(f"map {which}", one)
+    check_logs((first, *others), [f"map {which}" for which in range(1, len(others) + 2)])
     config = load("default")
     known, waiting = _with_graph(first, config), dict(enumerate(others, 1))
     while waiting:
@@ -86,6 +87,28 @@ def merged(first: Map, *others: Map, progress: Progress = lambda what, share: No
         both = replace(joined(known, other, found.links), about=_about(known, other))
         known = _refined(both, len(known.keyframes), config)
     return known
+
+
+def check_logs(maps: Sequence[Map], names: Sequence[str]) -> None:
+    """Check that no log is in two of the maps: its scans would count twice.
+
+    Logs are identified by their hash, which the maps of robots and of `Slam` do not have.
+
+    Raises
+    ------
+    ConfigError
+        If one is; the message has the names of both maps and of the log.
+    """
+    owners: dict[str, str] = {}
+    for known, name in zip(maps, names, strict=True):
+        logs = mapped_logs(logs_of(known))
+        for sha256, log in logs.items():
+            if sha256 in owners:
+                raise ConfigError(
+                    f"{owners[sha256]} and {name} both contain the log {log['log']}, whose scans would "
+                    "count twice; merge maps of different logs"
+                )
+        owners |= dict.fromkeys(logs, name)
 
 
 def _about(first: Map, second: Map) -> dict[str, Any]:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from impslam.columns import Sweeps
-from impslam.errors import ImpError
+from impslam.errors import ConfigError, ImpError
 from impslam.geometry.se2 import compose
 from impslam.map import Keyframe, Map, Revision, Track
 from impslam.map_builder import MapBuilder, blended
@@ -301,6 +301,17 @@ def test_a_file_that_cannot_be_written_is_told_and_leaves_the_old_one(known, fil
     with pytest.raises(ImpError, match="cannot be written"):
         known.save(tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == [file.name]
+
+
+def test_a_map_replaces_no_file_that_is_not_a_map(known, file, tmp_path):
+    notes = tmp_path / "notes.txt"
+    notes.write_text("mine")
+    with pytest.raises(
+        ConfigError, match=r"notes\.txt: exists and is not a map; give another path"
+    ):
+        known.save(notes)
+    assert notes.read_text() == "mine"
+    assert known.save(file) == file
 
 
 def test_on_a_full_disk_the_advice_is_one_that_a_robots_user_can_follow(

@@ -433,6 +433,8 @@ class Map:
 
         Raises
         ------
+        ConfigError
+            If the path is a file that is not a map.
         ImpError
             If the file cannot be written.
         """

@@ -10,7 +10,7 @@ from typing import Any
 
 from impslam.cli.progress import display
 from impslam.errors import ConfigError
-from impslam.maps.archive import is_map
+from impslam.maps.archive import check_replaceable
 from impslam.paths import keep_inputs, written
 
 _PART = ".part"
@@ -50,8 +50,7 @@ def check_map_path(path: Path, inputs: Sequence[Path]) -> None:
         If it would.
     """
     keep_inputs(inputs, [path])
-    if path.exists() and not is_map(path):
-        raise ConfigError(f"{path}: exists and is not a map; give another -o")
+    check_replaceable(path)
 
 
 @contextmanager

@@ -20,7 +20,7 @@ from typing import IO, Any, TypeAlias, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from impslam.errors import ImpError
+from impslam.errors import ConfigError, ImpError
 from impslam.paths import is_file, is_folder, replacement, written
 
 VERSION = 4
@@ -37,9 +37,13 @@ def save(path: Path, arrays: Arrays, about: dict[str, Any]) -> Path:
 
     Raises
     ------
+    ConfigError
+        If the path is a file that is not a map.
     ImpError
         If the file cannot be written.
     """
+    if path.is_file():
+        check_replaceable(path)
     facts = {"version": VERSION, "about": about}
     table = json.dumps(facts, ensure_ascii=False, default=str)
     with written(path, "free disk space or check the folder"):
@@ -112,6 +116,12 @@ def is_map(path: Path) -> bool:
             return "about.npy" in packed.namelist()
     except _DAMAGE:
         return False
+
+
+def check_replaceable(path: Path) -> None:
+    """Raise `ConfigError` if a path exists and is not a map."""
+    if path.exists() and not is_map(path):
+        raise ConfigError(f"{path}: exists and is not a map; give another path")
 
 
 def about(path: Path) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from tests.recognition.halls import seen
 
 from impslam.continuing import begin_with
 from impslam.errors import ConfigError, ImpError
-from impslam.imported_map import load_map
+from impslam.imported_map import load_map, read_grid
 from impslam.maps.files import map_image, write_map
 from impslam.recognition.relocalisation import Relocaliser, Verdict
 from impslam.recognition.submap import view
@@ -48,6 +48,35 @@ def test_the_image_may_be_named_or_be_another(yaml):
     np.testing.assert_array_equal(load_map(yaml).keyframes.points, first.points)
 
 
+def negative(yaml):
+    """The map's image with light and dark exchanged, elsewhere."""
+    folder = yaml.parent / "sub"
+    folder.mkdir()
+    pixels = cv2.imread(str(yaml.with_suffix(".pgm")), 0)
+    cv2.imwrite(str(folder / "map.pgm"), 255 - pixels)
+    return folder / "map.pgm"
+
+
+@pytest.mark.parametrize("negate", ["1", "true", "True", "yes", '"1"'])
+@pytest.mark.parametrize("is_absolute", [True, False])
+def test_the_image_is_where_the_yaml_says_and_may_be_negated(yaml, negate, is_absolute):
+    expected = read_grid(yaml)
+    image = negative(yaml) if is_absolute else negative(yaml).relative_to(yaml.parent)
+    text = yaml.read_text().replace("map.pgm", str(image))
+    yaml.write_text(text.replace("negate: 0", f"negate: {negate}"))
+    np.testing.assert_array_equal(read_grid(yaml).cells, expected.cells)
+
+
+def test_any_notation_of_yaml_is_read(yaml):
+    expected, text = read_grid(yaml), yaml.read_text()
+    (line,) = (line for line in text.splitlines() if line.startswith("origin"))
+    rows = "".join(f"\n  - {value}" for value in line[len("origin: [") : -1].split(", "))
+    text = text.replace(line, f"origin:{rows}  # x, y, yaw").replace("trinary", '"scale"')
+    yaml.write_text(f"%YAML 1.2\n---\n{text.replace('negate: 0', 'negate: false')}")
+    np.testing.assert_array_equal(read_grid(yaml).cells, expected.cells)
+    np.testing.assert_array_equal(read_grid(yaml).origin, expected.origin)
+
+
 def test_a_grid_that_is_turned_is_found_turned(yaml):
     text = yaml.read_text()
     (origin,) = (line for line in text.splitlines() if line.startswith("origin"))
@@ -63,6 +92,17 @@ def test_a_grid_that_is_turned_is_found_turned(yaml):
     [
         ("map.pgm", "gone.pgm", "No such file"),
         ("mode: trinary", "mode: raw", "its mode is raw"),
+        ("mode: trinary", 'mode: "raw"', "its mode is raw"),
+        ("mode: trinary", "mode: foo", "its mode is foo, not trinary or scale"),
+        ("mode: trinary", "mode: [trinary]", "its mode is not one value"),
+        ("negate: 0", "negate: dark", "its negate is dark, neither 0 nor 1"),
+        ("map.pgm", "/dev/zero", "/dev/zero is not a file"),
+        ("map.pgm", "sub/map.pgm", r"No such file.*sub/map\.pgm"),
+        ("origin: [", "origin: [1, ", "its origin is not a list of x, y and yaw"),
+        ("origin: [", "origin: {x: ", "while parsing"),
+        ("image", f"{'#' * 20_000}\nimage", "it is longer than 16384 bytes"),
+        ("image", f"{'[' * 10_000}\nimage", "recursion"),
+        ("image", "- image", "not a map_server map"),
         ("resolution: 0.05", "resolution: 0", "is invalid"),
         ("resolution: 0.05", "resolution: x", "could not convert"),
         ("origin", "begin", "origin"),

@@ -7,8 +7,8 @@ Beams that reach an unknown cell or no cell are left out.
 from __future__ import annotations
 
 import math
-from pathlib import Path, PurePath
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -28,6 +28,10 @@ CLEARANCE = 0.2  # m, minimum distance of a keyframe from walls
 MAX_RANGE, BEAMS = 20.0, 720  # m: other keyframes see farther walls; a beam every half degree
 SIGMA = np.array([0.03, 0.03, 0.005])  # m, m, rad: limited by cells of 5 cm
 FREE, UNKNOWN, OCCUPIED = range(3)
+MAX_HEADER = 16_384  # bytes of a yaml file; those of map_server have 200
+_FLAGS = dict.fromkeys(("true", "yes", "on", "y"), True) | dict.fromkeys(
+    ("false", "no", "off", "n"), False
+)
 _NO_SCANS = "a pose graph has no scans to localise in; give the grid (map.yaml), or a map.imp"
 
 Cells = npt.NDArray[np.uint8]
@@ -58,25 +62,58 @@ def load_map(path: Path) -> Map:
 
 def read_grid(path: Path) -> ImportedGrid:
     """Return the grid of a map_server map, given its yaml file or the image beside it."""
+    from ruamel.yaml.error import YAMLError  # noqa: PLC0415  # few runs read a grid
+
     yaml = path if path.suffix.lower() in {".yaml", ".yml"} else path.with_suffix(".yaml")
     try:
-        lines = (line.split("#")[0].split(":", 1) for line in yaml.read_text("utf-8").splitlines())
-        header = {key.strip(): value.strip() for key, value in (p for p in lines if len(p) == 2)}
-        image = PurePath(header["image"].strip("'\"")).name  # beside its yaml
-        return _grid(
-            header, _darkness(yaml.parent / image, negated=header.get("negate", "0") == "1")
-        )
-    except (OSError, KeyError, ValueError) as error:
+        header = _header(yaml)
+        image = yaml.parent / _text(header, "image")  # absolute paths stay as they are
+        return _grid(header, _darkness(image, negated=_flag(header, "negate")))
+    except (OSError, ValueError, RecursionError, YAMLError) as error:
         reason = " ".join(str(error).split())[:200]
         raise ImpError(
-            f"{yaml}: not a map_server map ({reason}); give map.yaml with its image beside it"
+            f"{yaml}: not a map_server map ({reason}); give map.yaml and the image that it names"
         ) from None
+
+
+def _header(path: Path) -> dict[str, Any]:
+    """Return the table in a yaml file with all scalars as text, which the reader converts by their name."""
+    from ruamel.yaml import YAML  # noqa: PLC0415  # few runs read a grid
+
+    with path.open("rb") as stream:
+        data = stream.read(MAX_HEADER + 1)
+    if len(data) > MAX_HEADER:
+        raise ValueError(f"it is longer than {MAX_HEADER} bytes")
+    header = YAML(typ="base", pure=True).load(data)
+    if not isinstance(header, dict):
+        raise ValueError("it has no table of image, resolution and origin")  # noqa: TRY004
+    return header
+
+
+def _text(header: dict[str, Any], name: str, default: str | None = None) -> str:
+    value = header.get(name, default)
+    if not isinstance(value, str):
+        raise ValueError(f"it has no {name}" if value is None else f"its {name} is not one value")  # noqa: TRY004
+    return value
+
+
+def _flag(header: dict[str, Any], name: str) -> bool:
+    """Return a flag that is a number or a word, as in Nav2; False if it is missing."""
+    word = _text(header, name, "0").lower()
+    if word in _FLAGS:
+        return _FLAGS[word]
+    try:
+        return int(word) != 0
+    except ValueError:
+        raise ValueError(f"its {name} is {word}, neither 0 nor 1") from None
 
 
 def _darkness(image: Path, *, negated: bool) -> Array:
     """Return the darkness of each pixel, 0 to 1, with the lowest row first."""
     import cv2  # noqa: PLC0415  takes a tenth of a second
 
+    if image.exists() and not image.is_file():  # a device may have no end
+        raise ValueError(f"{image} is not a file")
     data = np.frombuffer(image.read_bytes(), np.uint8)
     try:
         pixels = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if len(data) else None
@@ -88,17 +125,21 @@ def _darkness(image: Path, *, negated: bool) -> Array:
     return np.asarray(bright if negated else 1.0 - bright)
 
 
-def _grid(header: dict[str, str], darkness: Array) -> ImportedGrid:
+def _grid(header: dict[str, Any], darkness: Array) -> ImportedGrid:
     """Return the trinary grid of a map_server map: free, occupied, else unknown."""
-    if header.get("mode", "trinary") == "raw":
-        raise ValueError("its mode is raw, not trinary or scale")
-    x, y, yaw = (float(v) for v in header["origin"].strip("[]").split(","))
-    resolution = float(header["resolution"])
+    mode = _text(header, "mode", "trinary").lower()
+    if mode not in {"trinary", "scale"}:
+        raise ValueError(f"its mode is {mode}, not trinary or scale")
+    origin = header.get("origin")
+    if not (isinstance(origin, list) and len(origin) == 3 and all(type(v) is str for v in origin)):
+        raise ValueError("its origin is not a list of x, y and yaw")
+    x, y, yaw = map(float, origin)
+    resolution = float(_text(header, "resolution"))
     if not (all(map(math.isfinite, (x, y, yaw))) and 0.005 <= resolution <= 1.0):
         raise ValueError("its resolution or origin is invalid")
     cells = np.full(darkness.shape, UNKNOWN, np.uint8)
-    cells[darkness < float(header.get("free_thresh", FREE_BELOW))] = FREE
-    cells[darkness > float(header.get("occupied_thresh", OCCUPIED_ABOVE))] = OCCUPIED
+    cells[darkness < float(_text(header, "free_thresh", str(FREE_BELOW)))] = FREE
+    cells[darkness > float(_text(header, "occupied_thresh", str(OCCUPIED_ABOVE)))] = OCCUPIED
     return ImportedGrid(cells, resolution, np.array([x, y, yaw]))
 
 

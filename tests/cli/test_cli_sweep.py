@@ -96,6 +96,8 @@ def test_ctrl_c_keeps_what_is_done(world, tmp_path):
         (("room", "--set", "filter.knd=ekf"), "knd is not a parameter"),
         (("room", "arena", "--truth", "t.tum"), "--truth t.tum: does not name its log"),
         (("room", "--truth", "hall=t.tum"), "hall is not one of the logs room"),
+        (("room", "--truth", "t.tum"), "drives in a world have their own truth; leave out t.tum"),
+        (("room", "--relations", "r.txt"), "leave out r.txt"),
         (("room", "-j", "1", "--scheduler", "tcp://x:1"), "--jobs and --scheduler: give only one"),
     ],
 )

@@ -135,10 +135,12 @@ def find_log(name: str, truth: str | None = None, relations: str | None = None) 
         If there is neither, with one line that says what to do.
     """
     path = Path(name)
-    if name in shipped_worlds() and not path.exists():
-        return Log(name, name, _world_content(name), is_world=True)
-    if path.suffix == ".toml":
-        return Log(name, str(path.resolve()), _world_content(name), is_world=True)
+    is_shipped = name in shipped_worlds() and not path.exists()
+    if is_shipped or path.suffix == ".toml":
+        if given := truth or relations:
+            raise ConfigError(f"{name}: drives in a world have their own truth; leave out {given}")
+        place = name if is_shipped else str(path.resolve())
+        return Log(name, place, _world_content(name), is_world=True)
     if not path.exists():
         worlds = ", ".join(shipped_worlds())
         raise SourceError(f"{name}: no such file or folder, and none of the worlds {worlds}")

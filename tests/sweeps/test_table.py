@@ -1,11 +1,14 @@
 """Journal and table of a sweep: robust against crashes, and independent of the order of the runs."""
 
 import csv
+import errno
 import math
+from contextlib import contextmanager
 
 import pytest
 
-from impslam.errors import ConfigError
+from impslam.errors import ConfigError, ImpError
+from impslam.paths import replacement
 from impslam.sweeps.journal import JOURNAL, Journal
 from impslam.sweeps.table import CSV, PARQUET, write_table
 
@@ -56,6 +59,28 @@ def test_parquet_contains_the_same_with_types(tmp_path):
     assert table["scans"].to_pylist() == [7, None]
     assert table["ate_m"].to_pylist() == [0.25, None]
     assert table["message"].to_pylist() == ["", "lost"]
+
+
+@pytest.mark.parametrize("name", [CSV, PARQUET])
+def test_on_a_full_disk_the_files_stay_as_they_were(tmp_path, monkeypatch, name):
+    pytest.importorskip("arro3.io")
+    write_table(tmp_path, [row(0)])
+    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
+
+    @contextmanager
+    def full(path):
+        if path.name == name:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        with replacement(path) as stream:
+            yield stream
+
+    monkeypatch.setattr("impslam.sweeps.table.replacement", full)
+    with pytest.raises(
+        ImpError, match=rf"{name}: cannot be written \(No space left on device\); free"
+    ):
+        write_table(tmp_path, [row(0), row(1)])
+    assert (tmp_path / name).read_bytes() == before[tmp_path / name]
+    assert {path.name for path in tmp_path.iterdir()} == {CSV, PARQUET}
 
 
 def test_without_the_extra_only_csv_is_written(tmp_path, monkeypatch, caplog):

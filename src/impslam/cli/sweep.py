@@ -158,13 +158,15 @@ def _run(cases: Sequence[Case], pool: Pool, journal: Journal, quiet: bool) -> No
 
 def write(folder: Path, rows: Sequence[Row]) -> list[Path]:
     """Write the table, and the picture if the errors of any run are known; return the files."""
+    from impslam.cli.output_files import write_bytes
+    from impslam.evaluation.plots import as_png
     from impslam.sweeps.plot import draw_sweep
     from impslam.sweeps.table import write_table
     from impslam.sweeps.verdict import by_log, measure_of
 
     files = write_table(folder, rows)
     if any(measure_of(variants) for variants in by_log(rows).values()):
-        draw_sweep(rows).savefig(folder / PICTURE, metadata={"Software": None})
+        write_bytes(folder / PICTURE, as_png(draw_sweep(rows)))
         files.append(folder / PICTURE)
     return files
 

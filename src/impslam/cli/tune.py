@@ -120,7 +120,9 @@ def _finish(
     task: Task, space: Space, study: Any, score: Score, pool: Pool, folder: Path, quiet: bool
 ) -> None:
     """Run all logs, including held-out ones, with the old and new configs; write the results."""
+    from impslam.cli.output_files import write_bytes
     from impslam.cli.sweep import show_errors, write
+    from impslam.evaluation.plots import as_png
     from impslam.sweeps.tuned import tuned_config
     from impslam.sweeps.tuning import best, suggest
     from impslam.sweeps.tuning_plot import draw_search
@@ -128,8 +130,8 @@ def _finish(
     found = suggest(space, best(study))
     rows = task.compare(found, pool)
     text = tuned_config(task, found, rows, score, study)
-    (folder / CONFIG).write_text(text, encoding="utf-8")
-    draw_search(study, list(space)).savefig(folder / PICTURE, metadata={"Software": None})
+    write_bytes(folder / CONFIG, text.encode())
+    write_bytes(folder / PICTURE, as_png(draw_search(study, list(space))))
     write(folder, rows)
     if not quiet:
         show_errors(rows)

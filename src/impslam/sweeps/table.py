@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from impslam.extras import install
+from impslam.paths import replacement, written
 from impslam.sweeps.journal import IDENTITY, identity
 from impslam.sweeps.rows import Row
 
@@ -50,13 +51,19 @@ def columns(rows: Sequence[Row]) -> dict[str, list[Any]]:
 
 
 def write_table(folder: Path, rows: Iterable[Row]) -> list[Path]:
-    """Write the table as CSV, and as Parquet if the extra `parquet` is installed; return the files."""
+    """Write the table as CSV, and as Parquet if the extra `parquet` is installed; return the files.
+
+    Raises
+    ------
+    ImpError
+        If a file cannot be written; an earlier one then stays as it was.
+    """
     table = columns(tidy(rows))
     text = io.StringIO()
     lines = csv.writer(text, lineterminator="\n")
     lines.writerow(table)
     lines.writerows(zip(*table.values(), strict=True))
-    (folder / CSV).write_text(text.getvalue(), encoding="utf-8")
+    _write(folder / CSV, text.getvalue().encode())
     try:
         write_parquet(folder / PARQUET, table)
     except ImportError:
@@ -66,10 +73,12 @@ def write_table(folder: Path, rows: Iterable[Row]) -> list[Path]:
 
 
 def write_parquet(path: Path, table: dict[str, list[Any]]) -> None:
-    """Write columns as a Parquet file.
+    """Write columns as a Parquet file, by way of memory: on a full disk arro3 ends with a panic.
 
     Raises
     ------
+    ImpError
+        If the file cannot be written.
     ImportError
         If the extra `parquet` is not installed.
     """
@@ -81,7 +90,14 @@ def write_parquet(path: Path, table: dict[str, list[Any]]) -> None:
         kind = _type_of(values)
         texts = [None if value is None else str(value) for value in values]
         typed[name] = Array(texts if kind == "string" else values, type=_arrow(kind))
-    write(Table.from_pydict(typed), str(path))
+    data = io.BytesIO()
+    write(Table.from_pydict(typed), data)
+    _write(path, data.getvalue())
+
+
+def _write(path: Path, data: bytes) -> None:
+    with written(path, "free disk space or check the folder"), replacement(path) as stream:
+        stream.write(data)
 
 
 def _arrow(kind: str) -> Any:

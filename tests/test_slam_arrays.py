@@ -9,6 +9,7 @@ import pytest
 import impslam
 from impslam.config import load
 from impslam.errors import ConfigError, ImpError, ShapeError
+from impslam.odometry.synchroniser import MAX_WAIT
 
 ANGLES = np.radians(np.arange(-180, 180))
 STAMPS = 0.1 * np.arange(60)
@@ -150,6 +151,34 @@ def test_odometry_that_comes_after_its_scans_are_used_is_refused():
         ImpError, match=r"OdometryPose: 60 rows from 0.000 s on .* add rows in order"
     ):
         slam.add_odometry(STAMPS, POSES)
+
+
+def test_a_scan_waits_for_as_many_rows_as_the_documentation_says():
+    assert f"for the next {MAX_WAIT} rows" in " ".join(impslam.Slam.__doc__.split())
+    for more in (MAX_WAIT - 1, MAX_WAIT):
+        slam = impslam.Slam("default")
+        slam.add_scans(STAMPS[: 1 + more], RANGES[: 1 + more], ANGLES)
+        assert (len(slam.map().stamps) > 0) == (more == MAX_WAIT)
+    with pytest.raises(ImpError, match=rf"waits for odometry for the next {MAX_WAIT} rows only"):
+        slam.add_odometry(STAMPS - 1.0, POSES)
+
+
+@pytest.mark.parametrize(
+    ("odometry", "scans", "missing"), [(0, 60, 60), (0, 3, 3), (40, 60, 1), (55, 60, 0), (1, 1, 0)]
+)
+def test_scans_that_are_used_without_odometry_are_reported(odometry, scans, missing):
+    slam = impslam.Slam("default")
+    slam.add_odometry(STAMPS[:odometry], POSES[:odometry])
+    slam.add_scans(STAMPS[:scans], RANGES[:scans], ANGLES)
+    assert len(slam.finish().path()) == scans
+    assert slam.problems == ({"odometry missing": missing} if missing else {})
+
+
+def test_without_odometry_in_the_config_none_is_missing():
+    slam = impslam.Slam("default", ["odometry.kind=lidar_only"])
+    slam.add_scans(STAMPS, RANGES, ANGLES)
+    slam.finish()
+    assert slam.problems == {}
 
 
 def test_a_clock_that_is_set_back_is_none_of_that(tmp_path):

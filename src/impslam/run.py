@@ -227,6 +227,16 @@ class Run:
                 observer.truth(pose)
 
     @property
+    def has_odometry(self) -> bool:
+        """Whether any row of odometry was received."""
+        return bool(self.robot.counts.get(self.robot.odometry.consumes.__name__))
+
+    def dropped(self, *problems: Problems) -> dict[str, Dropped]:
+        """Return the problems so far of all parts; `problems` are those of others, e.g. the source."""
+        parts = (self.robot.problems, self.tracker.problems, self.problems, self._watch.problems)
+        return dropped((*problems, *parts))
+
+    @property
     def scans(self) -> int:
         """Number of sweeps used so far, without those of the map that is continued."""
         return len(self._builder) - self._known_sweeps
@@ -375,12 +385,12 @@ class Run:
         return known
 
     def _refuse_empty(self, source: Source) -> None:
-        wanted = self.robot.odometry.consumes.__name__
         if self.scans == 0 and self._continuation.refusal:
             raise SourceError(f"{source.path}: {self._continuation.refusal}")
         if self.scans == 0:
             raise SourceError(source.explain_emptiness())
-        if not self.robot.counts.get(wanted):
+        if not self.has_odometry:
+            wanted = self.robot.odometry.consumes.__name__
             hint = source.unknown_odometry() or "`imp inspect` lists its contents"
             raise SourceError(
                 f"{source.path}: no {wanted} for odometry {self.config.odometry['kind']!r} in "
@@ -391,14 +401,12 @@ class Run:
     def outcome(self, log: Path, sha256: str, landmarks: int, *problems: Problems) -> Outcome:
         """Return the facts of the run so far; `problems` are those of other parts, e.g. the source."""
         numbers = {"steps": self.scans, "landmarks": landmarks, **self.estimator.counts()}
-        parts = (*problems, self.robot.problems, self.tracker.problems, self.problems)
-        parts += (self._watch.problems,)
         return Outcome(
             log=log,
             log_sha256=sha256,
             config=self.config.resolved(),
             counts={**self.robot.counts, **numbers},
-            dropped=dropped(parts),
+            dropped=self.dropped(*problems),
             stages={name: np.array(times) for name, times in self.clock.stages.items()},
             log_seconds=self.robot.elapsed,
             wall_seconds=self.clock.elapsed,

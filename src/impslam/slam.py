@@ -16,8 +16,10 @@ from impslam.continuing import begin_with
 from impslam.errors import ConfigError, ImpError
 from impslam.map import Keyframe, Map, PathRows, Revision, Track
 from impslam.observers.base import Observer, checked_observers
+from impslam.odometry.synchroniser import MAX_WAIT
 from impslam.open_log import finished, for_continuing
 from impslam.run import Run
+from impslam.tracking.screening import SILENT
 from impslam.types import (
     Array,
     LaserScan,
@@ -33,8 +35,9 @@ class Slam:
     """Maps scans and odometry that are given as arrays.
 
     Rows are processed in the order of the calls, so add them in order of time. A scan waits until
-    odometry covers its sweep, so odometry may be added first, whole or in pieces. Interleave the scans of
-    several lidars. The map is the same to the bit for any number of rows per call.
+    odometry covers its sweep, but only for the next 25 rows of any stream: then it is used with the
+    odometry so far. So add odometry before the scans, whole or in pieces. Interleave the scans of several
+    lidars. The map is the same to the bit for any number of rows per call.
 
     Parameters
     ----------
@@ -184,7 +187,8 @@ class Slam:
             if times[0] < max(upto, default=-np.inf):
                 raise ImpError(
                     f"{name}: {len(times)} rows from {times[0]:.3f} s on come after the scan at "
-                    f"{max(upto):.3f} s; add rows in order of time, several streams in turns"
+                    f"{max(upto):.3f} s; add rows in order of time, several streams in turns: "
+                    f"a scan waits for odometry for the next {MAX_WAIT} rows only"
                 )
         self._newest_stamps[name] = float(times[-1])
         if is_scan:
@@ -227,8 +231,15 @@ class Slam:
 
     @property
     def problems(self) -> dict[str, int]:
-        """Number of rows that could not be used, by reason."""
-        return {**self._run.robot.problems.counts, **self._run.problems.counts}
+        """Number of rows that could not be used, or of other events that make the map worse, by reason.
+
+        "odometry missing" counts the times that odometry was missing for more than a second; if none was
+        added at all, the scans that were used without it.
+        """
+        counts = {kind: problem.count for kind, problem in self._run.dropped().items()}
+        if self._run.scans and not self._run.has_odometry:
+            counts[SILENT] = self._run.scans
+        return counts
 
     def map(self) -> Map:
         """Return the map as it is now; more may be added."""

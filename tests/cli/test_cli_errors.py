@@ -431,6 +431,10 @@ class Broken(Circle):
         ),
         ("[seen(z=np.zeros(3))]", "a cylinder whose z and R are no arrays of shapes (2,)"),
         ("[seen(R=np.eye(3))]", "a cylinder whose z and R are no arrays of shapes (2,)"),
+        ("[seen(beams=np.arange(999, 1003))]", "a cylinder with beams 999 to 1002 in a scan of "),
+        ("[seen(beams=np.arange(-1, 2))]", "a cylinder with beams -1 to 1 in a scan of "),
+        ("[seen(beams=scan.valid)]", "a cylinder whose beams are no array of integers"),
+        ("[seen(beams=[1, 2])]", "a cylinder whose beams are no array of integers"),
     ],
 )
 def test_an_extractor_that_returns_no_observations_is_named(imp, brief, tmp_path, returned, named):
@@ -440,8 +444,8 @@ import numpy as np
 from impslam.component import register
 from impslam.extractors.base import Extractor
 from impslam.types import Observation
-def seen(kind="cylinder", z=np.ones(2), R=np.eye(2)):
-    return Observation(kind, z, R, np.arange(3))
+def seen(kind="cylinder", z=np.ones(2), R=np.eye(2), beams=np.arange(3)):
+    return Observation(kind, z, R, beams)
 @register("broken")
 class Broken(Extractor):
     landmark = "cylinder"

@@ -40,13 +40,16 @@ class Extractor(Component):
         Raises
         ------
         ConfigError
-            If these are no observations of known landmarks; otherwise a filter would fail later, or worse.
+            If these are no observations of known landmarks in beams of the scan; otherwise a filter would
+            fail later, or worse.
         """
         returned: Any = self.extract(scan, rng)
         found: list[Observation] = []
         if isinstance(returned, Iterable):
             found = list(returned)
-            wrong = next(filter(None, (_defect(o, self._dims) for o in found)), "")
+            wrong = next(
+                filter(None, (_defect(o, self._dims, len(scan.ranges)) for o in found)), ""
+            )
         else:
             wrong = f"{type(returned).__name__} in place of a list of observations"
         if wrong:
@@ -57,12 +60,17 @@ class Extractor(Component):
         return found
 
 
-def _defect(o: Any, dims: Mapping[str, int]) -> str:
-    """Return what is wrong with the type of an observation, or ""."""
+def _defect(o: Any, dims: Mapping[str, int], n_beams: int) -> str:
+    """Return what is wrong with an observation in a scan of `n_beams` beams, or ""."""
     if not isinstance(o, Observation):
         return f"{type(o).__name__} in place of an Observation"
     if (n := dims.get(o.kind)) is None:
         return f"an observation of {o.kind!r}, which is no kind of landmark"
     if getattr(o.z, "shape", None) != (n,) or getattr(o.R, "shape", None) != (n, n):
         return f"a {o.kind} whose z and R are no arrays of shapes ({n},) and ({n}, {n})"
+    beams: Any = o.beams
+    if not isinstance(beams, np.ndarray) or beams.ndim != 1 or beams.dtype.kind not in "iu":
+        return f"a {o.kind} whose beams are no array of integers of shape (any,)"
+    if len(beams) and not (beams.min() >= 0 and beams.max() < n_beams):
+        return f"a {o.kind} with beams {beams.min()} to {beams.max()} in a scan of {n_beams} beams"
     return ""

@@ -39,8 +39,13 @@ def test_info_prints_the_facts_and_draws_the_map(imp, office, tmp_path) -> None:
     facts = json.loads((tmp_path / "facts.json").read_text())
     assert facts["motions"] == 19
     assert facts["closures"] == 0
-    assert facts["age"] is None  # its stamps are no Unix time
-    assert 40.0 < facts["free"] < 190.0
+    assert facts["age_s"] is None  # its stamps are no Unix time
+    assert 40.0 < facts["free_m2"] < 190.0
+    assert (facts["first_s"], facts["last_s"]) == (0.0, 19.5)
+    assert facts["direction"]["angle_rad"] == pytest.approx(0.2, abs=0.01)
+    described = (Path(__file__).parents[2] / "docs/maps.md").read_text("utf-8")
+    names = [*facts, *facts["direction"], *facts["quality"]]
+    assert [name for name in names if f"`{name}`" not in described] == []
 
 
 def test_info_reports_unplaced_keyframes(imp, office, tmp_path) -> None:

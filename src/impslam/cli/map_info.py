@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from impslam.cli import console
 from impslam.cli.console import Common, Output
@@ -69,7 +68,7 @@ def info(
         }
         console.show_facts(rows)
     if json is not None:
-        write_json(json, {**asdict(found), "quality": agreement.figures()})
+        write_json(json, {**_figures(found), "quality": agreement.figures()})
 
 
 def _picture(known: Map, image: MapImage) -> bytes:
@@ -80,6 +79,33 @@ def _picture(known: Map, image: MapImage) -> bytes:
 
     none = np.empty((0, 2))
     return map_png(PictureContent(image, drawn_path(known), none, none, known.landmarks))
+
+
+def _figures(found: MapFacts) -> dict[str, Any]:
+    """Return the facts by their names in JSON, with units; numbers and shares have none."""
+    direction = found.direction
+    return {
+        "logs": found.logs,
+        "scans": found.scans,
+        "keyframes": found.keyframes,
+        "unplaced": found.unplaced,
+        "path_m": found.path,
+        "motions": found.motions,
+        "closures": found.closures,
+        "landmarks": found.landmarks,
+        "extent_m": found.extent,
+        "free_m2": found.free,
+        "first_s": found.first,
+        "last_s": found.last,
+        "age_s": found.age,
+        "direction": {
+            "angle_rad": direction.angle,
+            "sigma_rad": direction.sigma,
+            "share": direction.share,
+            "rival": direction.rival,
+            "histogram": direction.histogram,
+        },
+    }
 
 
 def _rows(found: MapFacts) -> dict[str, str]:

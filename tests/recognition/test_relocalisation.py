@@ -181,6 +181,33 @@ def test_unusable_scans_are_refused(office, points, laser, why):
         office.locate(points, laser)
 
 
+@pytest.mark.parametrize(
+    ("near", "error", "why"),
+    [
+        (Near([math.nan, 1.0], 2.0), ShapeError, r"near\.place\[0\] is nan"),
+        (Near([1.0], 2.0), ShapeError, r"near\.place has shape \(1,\); expected \(2,\)"),
+        (Near("here", 2.0), ShapeError, r"near\.place: 'here' is of type"),
+        (Near([1.0, 1.0], -1.0), ConfigError, r"near\.radius = -1: give a positive"),
+        (Near([1.0, 1.0], math.nan), ConfigError, r"near\.radius = nan"),
+        (Near([1.0, 1.0], math.inf), ConfigError, r"near\.radius = inf"),
+        (Near([1.0, 1.0], [1.0, 2.0]), ShapeError, r"near\.radius has shape"),
+        (([1.0, 1.0], 2.0), ConfigError, r"near = \(\[1\.0, 1\.0\], 2\.0\): expected Near"),
+    ],
+)
+def test_unusable_hints_are_refused(office, near, error, why):
+    with pytest.raises(error, match=why) as caught:
+        office.locate(np.zeros((0, 2)), near=near)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_hint_may_be_a_list_and_a_pose(office):
+    truth = [-4.5, -2.0, 2.0]
+    scan = view(seen(OFFICE, truth))
+    answers = [office.find(scan, Near(place, 1)) for place in (truth, truth[:2])]
+    for found in answers:
+        assert_at(found.hypotheses[0].pose, truth)
+
+
 def test_what_is_no_keyframes_is_refused():
     with pytest.raises(ConfigError, match=r"'map\.imp': expected the keyframes of a Map"):
         Relocaliser("map.imp")

@@ -158,6 +158,8 @@ class Relocaliser:
         ------
         ShapeError
             If an argument has another shape, or is not finite.
+        ConfigError
+            If the hint is no `Near`, or its radius is not positive.
         """
         ends = numeric("points", points)
         check_shape("points", ends, None, 2)
@@ -176,6 +178,7 @@ class Relocaliser:
 
         The poses (3,) in `followed` are tried as well, unless a hint is given.
         """
+        near = None if near is None else _checked(near)
         if len(scans.features) < MIN_POINTS:
             return Answer(Verdict.AMBIGUOUS, ())
         allowed = None if near is None else _allowed_near(self.search_map, near)
@@ -285,6 +288,18 @@ def _are_close(one: Array, other: Array) -> bool:
     """Return whether two hypotheses (3,) count as one; see `SEPARATION`."""
     turn = abs(float(wrap(one[2] - other[2])))
     return math.dist(one[:2], other[:2]) <= SEPARATION and turn <= HEADING_SEPARATION
+
+
+def _checked(near: object) -> Near:
+    """Return a hint with arrays; raise an `ImpError` if it is none."""
+    if not isinstance(near, Near):
+        raise ConfigError(f"near = {shorten(near)}: expected Near(place, radius)")
+    place, radius = numeric("near.place", near.place), numeric("near.radius", near.radius)
+    check_shape("near.radius", radius)
+    place = finite("near.place", place, 3 if place.shape == (3,) else 2)
+    if not 0.0 < radius < math.inf:
+        raise ConfigError(f"near.radius = {radius:g}: give a positive number of metres")
+    return Near(place, float(radius))
 
 
 def _allowed_near(search_map: SearchMap, near: Near) -> Bytes:

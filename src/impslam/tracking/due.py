@@ -13,11 +13,11 @@ import numpy as np
 from impslam.geometry.kernels import kernel
 from impslam.tracking.fusion import MIN_MOTION
 from impslam.tracking.matching_state import State
+from impslam.tracking.reference_scan import RANGE_TOLERANCE
 from impslam.types import Array, Mask
 
-MIN_RANGE_CHANGE, MIN_CHANGED_SHARE = (0.03, 0.005), 0.1
-"""m, and share of the range: a range changed if it differs by more than this (3 sigma of the noise); and
-the share of ranges that must change, since people change some."""
+MIN_CHANGED_SHARE = 0.1
+"""Share of the ranges that must change, since people change some."""
 
 
 @kernel
@@ -33,6 +33,6 @@ def is_due(ranges: Array, valid: Mask, state: State) -> bool:
             both += 1
             changed += (
                 abs(ranges[i] - lidar.ranges[i])
-                > MIN_RANGE_CHANGE[0] + MIN_RANGE_CHANGE[1] * ranges[i]
+                > RANGE_TOLERANCE[0] + RANGE_TOLERANCE[1] * ranges[i]
             )
     return changed > MIN_CHANGED_SHARE * both

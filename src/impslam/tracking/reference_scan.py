@@ -19,6 +19,9 @@ noise."""
 MIN_CHANGE = 0.1
 """m: predicted change of a range that is large enough to be tested: ten times a lidar's noise."""
 
+RANGE_TOLERANCE = (0.03, 0.005)
+"""m, and share of the range: a smaller change counts as none; 3 sigma of the noise."""
+
 
 class LastScan(NamedTuple):
     """The scan of a lidar that was matched before.

@@ -25,11 +25,9 @@ from impslam.geometry.chain import advance_pose
 from impslam.geometry.kernels import kernel
 from impslam.health import STALLED, Reasons
 from impslam.tracking.beams import BeamColumns, Geometry
-from impslam.tracking.reference_scan import MIN_MOTION, changed_beam
+from impslam.tracking.reference_scan import MIN_MOTION, RANGE_TOLERANCE, changed_beam
 from impslam.types import Array, Mask
 
-RANGE_TOLERANCE = (0.03, 0.005)
-"""m, and share of the range: a smaller change counts as none; 3 sigma of the noise."""
 MIN_BEAMS = 10
 """Beams that should have changed; with fewer, nothing is concluded."""
 MIN_UNCHANGED = 0.8

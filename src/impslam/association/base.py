@@ -25,8 +25,7 @@ class Hypotheses(NamedTuple):
     Attributes
     ----------
     kind : of landmark
-    observations_of_kind : (a,) indices of all observations of the kind in the given list
-    observations : (p,) such an index
+    observations : (p,) indices in the given list
     landmarks : (p,) ids
     labels : (p,) labels that sensors read on the landmarks, -1 for none
     innovation : (p, dim_z)
@@ -40,7 +39,6 @@ class Hypotheses(NamedTuple):
     """
 
     kind: str
-    observations_of_kind: Ints
     observations: Ints
     landmarks: Ints
     labels: Ints

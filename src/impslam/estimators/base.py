@@ -61,8 +61,6 @@ class Estimator(Component):
     """Roles of the components that it uses; `start` receives one of each."""
     can_continue: ClassVar[bool] = False
     """Whether it can continue a known map."""
-    reports_landmarks: ClassVar[bool] = True
-    """Whether revisions list the landmarks that are matched, added and removed."""
     takes_unique: ClassVar[bool] = False
     """Whether it estimates landmarks of unique kinds, such as the frame of a GPS."""
     library: ClassVar[str] = ""

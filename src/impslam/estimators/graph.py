@@ -48,7 +48,6 @@ class Graph(Estimator):
     """A pose graph of the drive with loop closures; landmarks are estimated from its poses."""
 
     can_continue: ClassVar[bool] = True
-    reports_landmarks: ClassVar[bool] = False
     keyframes: ClassVar[KeyframeGate] = KeyframeGate(distance=0.4, angle=0.4, seconds=math.inf)
 
     spacing: float = parameter(

@@ -59,7 +59,6 @@ ITERATIONS = 12  # linearisations of a particle's pose
 class GridParticles(Estimator):
     """Particles of the path, each with its own map of surfaces (Grisetti et al. 2007)."""
 
-    reports_landmarks: ClassVar[bool] = False
     keyframes: ClassVar[KeyframeGate] = KeyframeGate(distance=0.4, angle=0.4, seconds=math.inf)
 
     particles: int = parameter(30, "1", "number of particles", ge=1)

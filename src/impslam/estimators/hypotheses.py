@@ -98,7 +98,6 @@ class MultipleHypotheses(Estimator):
     """Several hypotheses of the association, each with its own filter (Reid 1979)."""
 
     parts: ClassVar[tuple[str, ...]] = ("filter",)
-    reports_landmarks: ClassVar[bool] = False
 
     max_hypotheses: int = parameter(20, "1", "maximum number of hypotheses", ge=1)
     gate: float = parameter(

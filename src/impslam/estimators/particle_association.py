@@ -157,7 +157,7 @@ def _hypotheses(
     kind: KindObservations, cloud: ParticlePoses, observed: int, stride: int, gate: float
 ) -> Hypotheses:
     """Return the pairings of all particles inside the gate."""
-    table, model, count = kind.table, kind.table.model, len(cloud.poses)
+    table, model = kind.table, kind.table.model
     near = _near(kind, cloud) if np.isfinite(gate) else np.arange(len(table.ids))
     rows = np.ascontiguousarray(table.rows[:, near])
     predicted = model.predict(cloud.poses, table.m[rows])
@@ -181,10 +181,8 @@ def _hypotheses(
         return model.distance(table.m[rows[p, k]], model.invert(poses, z)[:, 0])
 
     slots = near[k]
-    every = np.arange(count)[:, None] * observed + kind.indices
     return Hypotheses(
         table.kind,
-        every.ravel(),
         p * observed + kind.indices[a],
         p * stride + slots,
         table.labels[slots],

@@ -240,7 +240,7 @@ def _hypotheses(
     possible = np.ones(len(a), np.bool_)
     if model.has_extent and len(a):
         possible = _possible(belief, table, ends[a], rows)
-    ids = indices, indices.take(a), table.ids.take(rows), table.labels.take(rows)
+    ids = indices.take(a), table.ids.take(rows), table.labels.take(rows)
     kind_flags = model.unique, model.has_extent
     return Hypotheses(table.kind, *ids, *scores, apart, possible, *kind_flags)
 

@@ -36,7 +36,6 @@ def test_without_delays_and_drift_the_stamps_are_exact():
     np.testing.assert_allclose(stamps, sampled, atol=1e-6)  # floats of 1.8e9 s resolve 0.24 us
     assert clock.drift == pytest.approx(0.0, abs=1e-6)
     assert clock.offset == pytest.approx(HOST - 3.0, abs=1e-6)
-    assert clock.sigma == pytest.approx(0.0, abs=1e-6)
     assert (clock.restarts, clock.stalls) == (0, 0)
 
 
@@ -55,7 +54,6 @@ def test_stamps_are_right_to_a_millisecond_after_a_few_seconds(drift, seed):
     assert clock.drift == pytest.approx(-drift, abs=20e-6)
     assert clock.stalls == 3
     assert clock.restarts == 0
-    assert 0.0 < clock.sigma < 1e-3
 
 
 @pytest.mark.parametrize("change", [0.1e-6, -0.1e-6])
@@ -166,7 +164,6 @@ def test_earlier_moments_get_earlier_stamps():
 def test_the_clock_is_unknown_before_the_first_arrival():
     clock = DeviceClock()
     assert math.isnan(clock.offset)
-    assert math.isinf(clock.sigma)
     with pytest.raises(RuntimeError, match="before something arrived"):
         clock.to_host(1.0)
 

@@ -63,14 +63,6 @@ class DeviceClock:
         """Host time minus device time at the last arrival, s; NaN before the first."""
         return self._predict_host(self._latest) - self._latest if self._origin else math.nan
 
-    @property
-    def sigma(self) -> float:
-        """Uncertainty of stamps, s: median of the bins' earliest arrivals above the line."""
-        if len(self._bins) < 2:
-            return math.inf
-        heights = sorted(y - self._line_at(x) for x, y in self._bins)
-        return heights[len(heights) // 2]
-
     def restart(self) -> None:
         """Discard all arrivals; stamps keep increasing."""
         self._bins.clear()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from itertools import count
@@ -137,6 +138,29 @@ def replacement(path: Path) -> Iterator[IO[bytes]]:
         part.replace(path)
     finally:
         part.unlink(missing_ok=True)
+
+
+@contextmanager
+def replacements(folder: Path) -> Iterator[Path]:
+    """Yield a temporary folder whose files replace those of a folder if the block succeeds.
+
+    It is inside the folder, and is removed if the block fails: all files are replaced, or none.
+    """
+    with tempfile.TemporaryDirectory(prefix=".", suffix=".part", dir=folder) as part:
+        yield Path(part)
+        for path in Path(part).iterdir():
+            path.replace(folder / path.name)
+        sync_folder(folder)
+
+
+def sync_folder(folder: Path) -> None:
+    """Flush the names in a folder to the disk, if the file system can."""
+    with suppress(OSError):
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
 
 
 def is_file(path: Path) -> bool:

@@ -1,5 +1,6 @@
 """The run folder contains the documented files, with the same bytes every time."""
 
+import errno
 import json
 import tomllib
 from dataclasses import replace
@@ -15,6 +16,7 @@ from impslam.graph.g2o import read_g2o
 from impslam.imported_map import FREE, OCCUPIED, read_grid
 from impslam.map import Map
 from impslam.maps.landmark_table import read_landmarks
+from impslam.observers import map_files
 from impslam.observers.recorder import Recorder
 from impslam.observers.run_folder import write_run
 from impslam.types import Edges, TrueLandmark
@@ -175,3 +177,21 @@ def test_a_run_whose_sensor_has_no_scans_writes_no_empty_grid(tmp_path):
     write_run(tmp_path, run.map(), runs.make_outcome(5))
     assert not {"map.pgm", "map.yaml"} & {path.name for path in tmp_path.iterdir()}
     assert '"columns": 1' in (tmp_path / "report.html").read_text()
+
+
+@pytest.mark.parametrize("failing", ["write_landmarks", "write_map"])
+def test_on_a_full_disk_the_files_of_the_earlier_run_stay(tmp_path, monkeypatch, failing):
+    def fail(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    write_run(tmp_path, runs.play([], n=5), runs.make_outcome(5))
+    files = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    monkeypatch.setattr(map_files, failing, fail)
+    said = rf"^{tmp_path}: .* could not be written \(No space left on device\); free disk space"
+    with pytest.raises(ImpError, match=said):
+        write_run(tmp_path, runs.play([]), runs.make_outcome())
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == files
+    monkeypatch.undo()
+    write_run(tmp_path, runs.play([]), runs.make_outcome())
+    assert {path.name for path in tmp_path.iterdir()} == FILES == files.keys()
+    assert len(read_tum(tmp_path / "trajectory.tum")) == 50

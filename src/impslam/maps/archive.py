@@ -9,11 +9,9 @@ from __future__ import annotations
 import io
 import json
 import math
-import os
 import struct
 import zipfile
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from pathlib import Path
 from typing import IO, Any, TypeAlias, TypeVar
 
@@ -21,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from impslam.errors import ConfigError, ImpError
-from impslam.paths import is_file, is_folder, replacement, written
+from impslam.paths import is_file, is_folder, replacement, sync_folder, written
 
 VERSION = 4
 """Version of the layout; see `layout`. Files of all versions up to this one can be read."""
@@ -50,18 +48,8 @@ def save(path: Path, arrays: Arrays, about: dict[str, Any]) -> Path:
         with replacement(path) as stream:
             header = np.frombuffer(table.encode(), np.uint8)
             _write(stream, {"about": header, **arrays})
-        _sync_folder(path.parent)
+        sync_folder(path.parent)
     return path
-
-
-def _sync_folder(folder: Path) -> None:
-    """Flush the names in a folder to the disk, if the file system can."""
-    with suppress(OSError):
-        handle = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(handle)
-        finally:
-            os.close(handle)
 
 
 def _write(stream: IO[bytes], arrays: Arrays) -> None:

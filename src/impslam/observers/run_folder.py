@@ -21,7 +21,7 @@ from impslam.observers.report import write_report
 from impslam.observers.summary import config_toml, summarise
 from impslam.observers.trajectory import LIVE_PATH
 from impslam.observers.write_attempts import WriteAttempts
-from impslam.paths import written
+from impslam.paths import replacements, written
 from impslam.types import Array, TrueLandmark
 
 NO_TRUTH = np.empty((0, 4))
@@ -72,16 +72,17 @@ def write_run(
     Raises
     ------
     ImpError
-        If a file cannot be written; the others are written.
+        If a file cannot be written; then none is, and the files of an earlier run stay.
     """
     make_run_folder(folder)
-    attempt = WriteAttempts(folder)
-    with attempt(LIVE_PATH):
-        write_tum(folder / LIVE_PATH, known.live_path())
-    if len(true_path):
-        with attempt(TRUTH):
-            write_tum(folder / TRUTH, true_path)
-    write_end(attempt, known, outcome, true_path, true_landmarks)
+    with written(folder, "free disk space or check the folder"), replacements(folder) as part:
+        attempt = WriteAttempts(part, folder)
+        with attempt(LIVE_PATH):
+            write_tum(part / LIVE_PATH, known.live_path())
+        if len(true_path):
+            with attempt(TRUTH):
+                write_tum(part / TRUTH, true_path)
+        write_end(attempt, known, outcome, true_path, true_landmarks)
     return folder
 
 

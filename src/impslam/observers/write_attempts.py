@@ -10,10 +10,13 @@ from impslam.errors import ImpError, in_a_line
 
 
 class WriteAttempts:
-    """Collects the errors of writing the files of a folder, and removes the failed files."""
+    """Collects the errors of writing the files of a folder, and removes the failed files.
 
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
+    Errors name the folder `destination` if the files are moved there later.
+    """
+
+    def __init__(self, folder: Path, destination: Path | None = None) -> None:
+        self.folder, self._destination = folder, destination or folder
         self.failed: dict[str, Exception] = {}
 
     @contextmanager
@@ -52,4 +55,6 @@ class WriteAttempts:
             if not isinstance(error, OSError | ImpError):
                 raise error
         if self.failed:
-            raise ImpError(f"{self.folder}: {self.message}; free disk space or check the folder")
+            raise ImpError(
+                f"{self._destination}: {self.message}; free disk space or check the folder"
+            )

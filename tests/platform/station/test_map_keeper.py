@@ -1,5 +1,6 @@
 """The map on the disk: saved every minute, at its end, and on request, atomically."""
 
+import errno
 import threading
 import time
 
@@ -15,6 +16,10 @@ from impslam.platform.station import map_keeper as module
 from impslam.platform.station.map_keeper import MapKeeper
 from impslam.platform.station.mapper_status import MapperStatus
 from impslam.simulation.world import load_world
+
+
+def full_disk(*_):
+    raise OSError(errno.ENOSPC, "No space left on device")
 
 
 class Toy:
@@ -154,11 +159,15 @@ def test_partial_files_of_a_killed_program_are_removed(keeper, tmp_path):
     folder.mkdir(parents=True)
     (folder / "map.imp").write_text("a map")
     (folder / ".map.imp.123.part").write_text("half a map")
+    (folder / ".abc.part").mkdir()
+    (folder / ".abc.part" / "report.html").write_text("half a report")
     keeper.start()
     assert [path.name for path in folder.iterdir()] == ["map.imp"]
 
 
-def test_a_live_map_can_be_loaded_from_its_file(tmp_path, notices):
+def test_a_live_map_can_be_loaded_from_its_file_which_a_full_disk_does_not_change(
+    tmp_path, notices, monkeypatch
+):
     mapper = live(load("imp"))
     keeper = MapKeeper(mapper, tmp_path, lambda *event: notices.append(event))
     keeper.begin()
@@ -171,6 +180,12 @@ def test_a_live_map_can_be_loaded_from_its_file(tmp_path, notices):
     assert len(known.stamps) == mapper.status().steps > 10
     assert known.about["counts"]["steps"] == len(known.stamps)
     assert notices == []
+    saved = {file: file.read_bytes() for file in keeper.save().iterdir()}
+    monkeypatch.setattr("impslam.maps.archive._write", full_disk)
+    with pytest.raises(ImpError, match=r"map\.imp could not be written"):
+        keeper.save()
+    assert {file: file.read_bytes() for file in path.parent.iterdir()} == saved
+    assert len(saved) > 5
 
 
 def test_an_error_of_the_estimator_does_not_end_the_saving(keeper, toy, notices):

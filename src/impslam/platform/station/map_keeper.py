@@ -27,7 +27,8 @@ most a twentieth of the time."""
 class MapKeeper:
     """Saves the maps of a mapper, each into its own folder.
 
-    A file on the disk is replaced atomically, so that a power failure leaves the old or the new one.
+    A file on the disk is replaced atomically, so that a power failure leaves the old or the new one. If a
+    save fails, all earlier files stay.
 
     Parameters
     ----------
@@ -53,8 +54,10 @@ class MapKeeper:
         return target.name if target is not None and self._mapper.status().on else ""
 
     def start(self) -> None:
-        """Start to save every minute; remove partial files that an earlier program left."""
-        for part in self._folder.glob(f"*/.{FILE}.*.part"):
+        """Start to save every minute; remove partial files and folders that an earlier program left."""
+        for part in self._folder.glob("*/.*.part"):
+            if part.is_dir():
+                shutil.rmtree(part, ignore_errors=True)
             with suppress(OSError):
                 part.unlink()
         self._thread.start()

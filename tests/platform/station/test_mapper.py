@@ -4,6 +4,7 @@ import json
 import logging
 import math
 import re
+import sys
 import threading
 import time
 from dataclasses import replace
@@ -523,6 +524,12 @@ def test_the_estimator_is_compiled_in_a_subprocess(monkeypatch, tmp_path):
     assert not Path(calls[0][3]).exists()
     warm.warm_up(load("default"))  # other odometry: the true path plays its part
     assert len(calls) == 2
+
+
+def test_a_process_that_ends_before_its_parent_reports_no_error():
+    """Its thread that waits for the end of the parent is then still reading."""
+    code = f"import time; from {warm.__name__} import end_with_parent; end_with_parent(); time.sleep(0.3)"
+    warm.run_until_either_ends([sys.executable, "-c", code])  # raises an error if it fails
 
 
 def test_compiling_may_be_done_ahead(caplog):

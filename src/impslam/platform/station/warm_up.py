@@ -114,7 +114,8 @@ def end_with_parent() -> None:
     """End this process once its stdin is closed."""
 
     def wait() -> None:
-        sys.stdin.buffer.read()
+        while os.read(0, 1024):  # sys.stdin would be locked, and Python would abort at its end
+            pass
         os._exit(1)
 
     threading.Thread(target=wait, daemon=True).start()

@@ -188,6 +188,16 @@ class TestBeyondLoopback:
             with served.logged_in() as client:
                 assert client.get("/").status_code == 200
 
+    @pytest.mark.parametrize("name", ["vm", "vm.local", "vm.example.org"])
+    def test_without_another_name_the_address_is_that_by_mdns(self, tmp_path, monkeypatch, name):
+        monkeypatch.setattr(socket, "gethostname", lambda: name)
+        wanted = ServerSettings("0.0.0.0", 0, accounts=tmp_path / "accounts.json")
+        Accounts(wanted.accounts).set("drive", DRIVE)
+        with listening(wanted) as listener:
+            server = prepared(stand_in(tmp_path), wanted, listener, print, lambda _: None, Clock())
+            port = listener.getsockname()[1]
+        assert server.address == f"https://vm.local:{port}"
+
 
 def test_it_beats_for_the_watchdog(tmp_path):
     beats = []

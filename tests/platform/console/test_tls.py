@@ -186,6 +186,19 @@ class TestHosts:
         with pytest.raises(ImpError, match="no such name"):
             hosts.loopback(host)
 
+    @pytest.mark.parametrize(
+        ("name", "names"),
+        [
+            ("VM", ("vm", "vm.local", "localhost")),
+            ("vm.local", ("vm.local", "vm", "localhost")),
+            ("vm.example.org", ("vm.example.org", "vm", "vm.local", "localhost")),
+        ],
+    )
+    def test_names_by_the_host_name(self, monkeypatch, name, names):
+        monkeypatch.setattr(socket, "gethostname", lambda: name)
+        assert hosts.names() == names
+        assert hosts.mdns_name() == "vm.local"
+
     def test_names_and_addresses_of_this_computer(self):
         assert "localhost" in hosts.names()
         assert "127.0.0.1" in hosts.addresses()

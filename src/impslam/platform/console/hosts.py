@@ -30,8 +30,16 @@ def loopback(host: str) -> bool:
 def names() -> tuple[str, ...]:
     """Return the names of this computer: host name, short, by mDNS, and localhost."""
     name = socket.gethostname().lower()
-    short = name.partition(".")[0]
-    return tuple(dict.fromkeys((name, short, f"{short}.local", "localhost")))
+    return tuple(dict.fromkeys((name, _short(name), mdns_name(), "localhost")))
+
+
+def mdns_name() -> str:
+    """Return the name of this computer by mDNS, as in `robot.local`."""
+    return f"{_short(socket.gethostname().lower())}.local"
+
+
+def _short(name: str) -> str:
+    return name.partition(".")[0]
 
 
 def addresses() -> tuple[str, ...]:

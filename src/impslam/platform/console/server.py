@@ -305,7 +305,7 @@ def _address(
     if settings.names and not local_only:
         host = settings.names[0]
     else:
-        host = f"{hosts.names()[1]}.local" if anywhere else settings.host
+        host = hosts.mdns_name() if anywhere else settings.host
     host = f"[{host}]" if ":" in host else host
     return f"{'https' if secure else 'http'}://{host}:{listener.getsockname()[1]}"
 

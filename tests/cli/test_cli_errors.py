@@ -375,6 +375,14 @@ def test_a_whole_number_is_not_rounded(imp, words) -> None:
     fails(imp(*words.split()), option, f'"{value}" is not a whole number')
 
 
+@pytest.mark.parametrize("command", ["robot --virtual", "simulate room -o room.mcap", "demo"])
+@pytest.mark.parametrize("seed", [-1, 1 << 63])
+def test_an_impossible_seed_is_refused(imp, tmp_path, monkeypatch, command, seed) -> None:
+    monkeypatch.chdir(tmp_path)
+    fails(imp(*command.split(), "--seed", seed), f'invalid value "{seed}" for --seed')
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_full_disk_is_told_with_the_file(imp, tmp_path, monkeypatch) -> None:
     def full(*_, **__):
         raise OSError(errno.ENOSPC, "No space left on device")

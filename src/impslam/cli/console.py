@@ -11,7 +11,7 @@ from shutil import get_terminal_size
 from textwrap import TextWrapper
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
-from cyclopts import Parameter, Token
+from cyclopts import Parameter, Token, validators
 
 from impslam.cli import startup_notice
 
@@ -72,6 +72,9 @@ Columns: TypeAlias = Annotated[
     ),
 ]
 Seed: TypeAlias = Annotated[int | None, Parameter(help="Random seed.", converter=whole_number)]
+SimulationSeed: TypeAlias = Annotated[
+    Whole, Parameter(validator=validators.Number(gte=0, lt=1 << 63))
+]
 
 
 @Parameter(name="*")

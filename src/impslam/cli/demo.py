@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from impslam.cli.console import Common, ConfigName, Force, Output, Settings, Whole
+from impslam.cli.console import Common, ConfigName, Force, Output, Settings, SimulationSeed
 from impslam.cli.interruption import Interruption
 
 
 def demo(
     *,
-    seed: Whole = 0,
+    seed: SimulationSeed = 0,
     output: Output = None,
     config: ConfigName = None,
     settings: Settings = (),

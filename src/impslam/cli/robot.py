@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import App, Parameter
 
 from impslam.cli import console
-from impslam.cli.console import Common, Flag, Repeatable, Whole
+from impslam.cli.console import Common, Flag, Repeatable, SimulationSeed, Whole
 from impslam.cli.replay import need_web
 from impslam.errors import ConfigError, ImpError
 from impslam.platform.station.service import unit
@@ -77,7 +77,7 @@ class VirtualOptions:
 
     virtual: Flag = False
     world: str = "arena"
-    seed: Whole = 0
+    seed: SimulationSeed = 0
     gps: Flag = False
     speed_control: Flag = False
 

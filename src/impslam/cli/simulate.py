@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from impslam.cli import console
-from impslam.cli.console import Common, Repeatable, RequiredOutput, Whole
+from impslam.cli.console import Common, Repeatable, RequiredOutput, SimulationSeed
 from impslam.cli.progress import display, ticker
 from impslam.errors import ConfigError
 
@@ -24,7 +24,7 @@ def simulate(
     /,
     *,
     output: RequiredOutput,
-    seed: Whole = 0,
+    seed: SimulationSeed = 0,
     robot: Path | None = None,
     settings: Annotated[Repeatable, Parameter(name="--set")] = (),
     camera: Path | None = None,

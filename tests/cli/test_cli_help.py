@@ -29,3 +29,9 @@ def test_each_example_is_understood() -> None:
     for words in examples:
         typed = shlex.split(words.partition(" | ")[0])
         make_app().parse_args(typed, exit_on_error=False, print_error=False)
+
+
+@pytest.mark.parametrize("command", ["robot", "simulate"])
+def test_worlds_are_not_listed_incompletely(imp, command) -> None:
+    text = " ".join(re.sub("│", " ", imp(command, "--help").out).split())
+    assert "(see imp list worlds) or a TOML file" in text

@@ -66,7 +66,7 @@ class VirtualOptions:
     virtual
         Use a virtual robot: emulated devices, with their real protocols, in a simulated world.
     world
-        The virtual robot's world (arena, corridor, room) or a TOML file.
+        The virtual robot's world (see `imp list worlds`) or a TOML file.
     seed
         Seed of the virtual robot's noise.
     gps

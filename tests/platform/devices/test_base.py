@@ -82,8 +82,18 @@ def test_a_lost_device_is_reopened_and_notified_once_per_reason(toy):
     until(lambda: toy.health().state == "ok")
     texts = [reading.message.text for reading in got]
     assert texts == ["/dev/toy: no such port; plug it in", "toy 1.0"]
-    assert toy.health().counts["lost connection"] == 3
+    assert toy.health().counts["lost connection"] == 1
     assert toy._sessions == 4
+
+
+def test_each_loss_is_counted_but_not_the_attempts_to_reopen(toy):
+    for _ in range(2):
+        toy._script.put(lambda self: (self._ready("toy 1.0"), self.fail()))
+        toy._script.put(Toy.fail)
+        toy._script.put(Toy.break_down)  # another reason, but the same loss
+    toy.start(lambda reading: None)
+    until(lambda: toy._sessions == 7 and toy.health().state == "ok")
+    assert toy.health().counts["lost connection"] == 2
 
 
 def test_the_error_is_readable_while_the_device_is_retried(toy):

@@ -180,11 +180,13 @@ class Device(Component):
             self._stopping.wait(self.retry)
 
     def _report_loss(self, reason: str) -> None:
+        """Count a loss, but not the attempts to open the device again; notify once per reason."""
         with self._vitals.lock:
-            changed = (self._vitals.state, self._vitals.detail) != ("lost", reason)
-        self._count("lost connection")
+            before = self._vitals.state, self._vitals.detail
+        if before[0] != "lost":
+            self._count("lost connection")
         self._set_state("lost", reason)
-        if changed:
+        if before != ("lost", reason):
             self._notify("error", reason)
 
     def _set_state(self, state: State, detail: str) -> None:

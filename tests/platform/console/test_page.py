@@ -10,7 +10,13 @@ from tests.platform.console import browsing
 from tests.platform.console.browsing import until, visit
 
 from impslam.platform.console.fault_panel import FAULTS
-from impslam.platform.console.health_panel import climate_row, device_row, event_row, page_row
+from impslam.platform.console.health_panel import (
+    climate_row,
+    device_row,
+    event_row,
+    mapper_row,
+    page_row,
+)
 from impslam.platform.console.page import STYLE
 from impslam.platform.console.robot_panels import alarms
 from impslam.platform.console.widgets import duration, size
@@ -77,9 +83,16 @@ def test_a_state_has_text_icon_and_colour_and_only_problems_are_counted():
     assert "812" not in row
     counts = {"corrupt": 3, "lost": 0, "frames": 99}
     troubled = device_row("autopilot", DeviceHealth("ok", "", {}, counts, 0.0))
-    assert "3 corrupt" in troubled
+    assert "corrupt 3" in troubled
     assert "99" not in troubled
-    assert "0 lost" not in troubled
+    assert "lost" not in troubled
+
+
+@pytest.mark.parametrize(("number", "words"), [(1, "1 scan dropped"), (2, "2 scans dropped")])
+def test_dropped_scans_are_counted_in_words(number, words):
+    row = mapper_row(replace(OFF, state="running", steps=number, dropped_scans=number))
+    assert f">{words}<" in row
+    assert f">{words.removesuffix(' dropped')}<" in row
 
 
 def test_alarms_are_whatever_the_driver_must_know():

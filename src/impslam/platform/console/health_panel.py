@@ -13,7 +13,7 @@ from nicegui import ui
 from impslam.platform.console.feed import Feed
 from impslam.platform.console.widgets import card, milliseconds, size, tagged
 from impslam.platform.devices.base import DeviceHealth, now
-from impslam.platform.station.mapper_status import MapperStatus
+from impslam.platform.station.mapper_status import MapperStatus, scans_text
 from impslam.platform.station.recorder import RecordingStatus
 from impslam.platform.station.station import StationHealth
 from impslam.types import Climate, Event
@@ -91,7 +91,7 @@ def device_row(name: str, health: DeviceHealth) -> str:
         if kind not in HIDDEN_TYPES
     )
     troubles = (
-        f"{count} {kind}"
+        f"{kind} {count}"
         for kind, count in health.counts.items()
         if count and PROBLEM_COUNTERS.search(kind.lower())
     )
@@ -110,8 +110,8 @@ def recorder_row(status: RecordingStatus) -> str:
 
 def mapper_row(status: MapperStatus) -> str:
     """Return the mapper's state as HTML."""
-    facts = [f"{status.steps} scans", f"scan to map {milliseconds(status.latency)}"]
-    dropped = [f"{status.dropped_scans} scans dropped"] if status.dropped_scans else []
+    facts = [scans_text(status.steps), f"scan to map {milliseconds(status.latency)}"]
+    dropped = [f"{scans_text(status.dropped_scans)} dropped"] if status.dropped_scans else []
     behind = status.behind > 1.0 and status.state == "running"
     if behind:
         dropped.append(f"newest scan is {status.behind:.1f} s old")

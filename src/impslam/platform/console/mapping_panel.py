@@ -9,7 +9,7 @@ from nicegui import html
 
 from impslam.platform.console.viewer import Viewer
 from impslam.platform.console.widgets import button, card, line, show, tagged, text
-from impslam.platform.station.mapper_status import MapperStatus
+from impslam.platform.station.mapper_status import MapperStatus, scans_text
 from impslam.platform.station.station import Station
 
 STATE_TEXTS = {
@@ -48,7 +48,7 @@ class MappingPanel:
         show(self._restart, self._may and status.on)
         show(self._end, self._may and status.on)
         show(self._save, self._may and status.steps > 0 and not status.frozen)
-        scans = f" · {status.steps} scans" if status.steps else ""
+        scans = f" · {scans_text(status.steps)}" if status.steps else ""
         self._status.text = _status_text(status) + (
             f": {status.detail}" if status.detail else scans
         )

@@ -9,6 +9,7 @@ from impslam.platform.console.stored_panel import StoredPanel, moment
 from impslam.platform.console.viewer import Viewer
 from impslam.platform.console.widgets import button, size
 from impslam.platform.station.map_store import StoredMap
+from impslam.platform.station.mapper_status import scans_text
 from impslam.platform.station.station import Station
 
 
@@ -25,7 +26,7 @@ class MapsPanel(StoredPanel[StoredMap]):
         return (
             moment(one.modified),
             size(one.size),
-            f"{one.scans} scans" if one.scans else "",
+            scans_text(one.scans) if one.scans else "",
             "in progress" if one.mapping else "",
             "with report" if one.report else "",
             "damaged" if one.damage else "",

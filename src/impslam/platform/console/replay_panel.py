@@ -9,6 +9,7 @@ from nicegui import html
 
 from impslam.platform.console.viewer import Viewer
 from impslam.platform.console.widgets import button, card, duration, line, show, tagged, text
+from impslam.platform.station.mapper_status import scans_text
 from impslam.platform.station.player import Player, PlayerStatus
 
 SPEEDS = {
@@ -96,5 +97,5 @@ def _status_text(status: PlayerStatus, share: float) -> str:
     state = STATE_TEXTS.get(status.state, status.state.capitalize())
     usual = status.speed == 1 or math.isinf(status.speed) or status.state in OVER
     speed = "" if usual else f" at {status.speed:g}×"
-    facts = (f"{100 * share:.0f} %", duration(status.seconds), f"{status.steps} scans")
+    facts = (f"{100 * share:.0f} %", duration(status.seconds), scans_text(status.steps))
     return f"{state}{speed} · " + " · ".join(filter(None, facts))

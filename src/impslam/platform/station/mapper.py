@@ -20,7 +20,7 @@ from impslam.platform.devices.base import now
 from impslam.platform.station.continued_map import ContinuedMap
 from impslam.platform.station.inbox import MAX_MESSAGES, Inbox
 from impslam.platform.station.map_store import FILE
-from impslam.platform.station.mapper_status import OFF, MapperStatus, State
+from impslam.platform.station.mapper_status import OFF, MapperStatus, State, scans_text
 from impslam.platform.station.warm_up import warm_up
 from impslam.run import Run
 from impslam.types import Array, Message, TruePose
@@ -250,9 +250,8 @@ class _Mapping:
         return f"no {wanted} has come, the map is made without odometry; check the autopilot"
 
     def _drop_report(self) -> str:
-        return (
-            f"{self._inbox.dropped} scans dropped by now: this computer is too slow for the lidar"
-        )
+        scans = scans_text(self._inbox.dropped)
+        return f"{scans} dropped by now: this computer is too slow for the lidar"
 
     # ------------------------------------------------------------------ in the thread
 

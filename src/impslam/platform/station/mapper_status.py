@@ -45,4 +45,9 @@ class MapperStatus:
         return self.state in {"running", "compiling"}
 
 
+def scans_text(number: int) -> str:
+    """Return a number of scans with its unit."""
+    return "1 scan" if number == 1 else f"{number} scans"
+
+
 OFF = MapperStatus("off", 0, 0, 0, float("nan"), float("nan"), "")

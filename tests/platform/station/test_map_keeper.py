@@ -188,6 +188,40 @@ def test_a_live_map_can_be_loaded_from_its_file_which_a_full_disk_does_not_chang
     assert len(saved) > 5
 
 
+@pytest.mark.parametrize("full", [False, True])
+def test_a_map_contains_the_scans_until_the_next_one_begins(tmp_path, notices, monkeypatch, full):
+    mapper, drive, steps = live(load("imp")), list(perfect(load_world("room"))), []
+    keeper = MapKeeper(mapper, tmp_path, lambda *event: notices.append(event))
+    save = mapper.save_map
+
+    def save_slowly(folder):
+        save(folder)
+        steps.append(mapper.status().steps)
+        hand(mapper, drive[200:400])
+        drain(mapper)
+        steps.append(mapper.status().steps)
+        if full:
+            monkeypatch.setattr("impslam.maps.archive._write", full_disk)
+
+    monkeypatch.setattr(mapper, "save_map", save_slowly)
+    keeper.begin()
+    hand(mapper, drive[:200])
+    drain(mapper)
+    keeper.begin()
+    assert mapper.status().state in {"compiling", "running"}
+    assert (mapper.status().steps, keeper.name) == (0, "")
+    mapper.stop()
+    first, last = steps
+    (path,) = tmp_path.glob("map-*/map.imp")
+    assert len(Map.load(path).stamps) == (first if full else last)
+    assert last > first + 5
+    text = f"{path.parent.name}: the last scans are not saved: {path}: cannot be written"
+    assert [(level, text) for level, said in notices if said.startswith(text)] == [
+        ("error", text)
+    ] * full
+    assert len(notices) == full
+
+
 def test_an_error_of_the_estimator_does_not_end_the_saving(keeper, toy, notices):
     toy.kind, toy.error, toy.steps = ZeroDivisionError, "oops", 3
     keeper.start()

@@ -69,8 +69,9 @@ class Ready(LiveMapper):
     """A mapper without compilation: messages after its start are mapped."""
 
     def start(self, continued=None):
-        super().start(continued)
+        ended = super().start(continued)
         wait_until(lambda: self.status().state != "compiling")
+        return ended
 
 
 def live(config, view=None):

@@ -14,7 +14,7 @@ from impslam.errors import ImpError, in_a_line
 from impslam.paths import make_folder, written
 from impslam.platform.station.continued_map import ContinuedMap
 from impslam.platform.station.map_store import FILE
-from impslam.platform.station.mapper import LiveMapper
+from impslam.platform.station.mapper import LiveMap, LiveMapper
 
 log = logging.getLogger(__name__)
 
@@ -72,7 +72,9 @@ class MapKeeper:
     def begin(self, continued: ContinuedMap | None = None) -> None:
         """Save the present map, and begin a new one or continue another one.
 
-        A continued map is saved as a new one; the original stays as it is.
+        A continued map is saved as a new one; the original stays as it is. Mapping goes on during the
+        save, which takes seconds for a large map. What has come since is saved after the other map has
+        begun, so that the robot is tracked all the time.
 
         Raises
         ------
@@ -82,8 +84,11 @@ class MapKeeper:
         """
         with self._saving:
             self._save_if_new()
-            self._mapper.start(continued)
+            ended = self._mapper.start(continued)
+            target, saved_steps = self._target, self._saved_steps
             self._target, self._saved_steps = None, 0
+            if ended is not None and target is not None:
+                self._save_rest(ended, target, saved_steps)
 
     def end(self) -> None:
         """End mapping, and save the map. It can still be saved with all files, and be continued.
@@ -134,6 +139,17 @@ class MapKeeper:
             folder = self._save_into(self._mapper.save)
             self._saved_steps = steps
             return folder
+
+    def _save_rest(self, ended: LiveMap, folder: Path, saved_steps: int) -> None:
+        """Save an ended map again if it has grown since its last save."""
+        ended.wait()
+        try:
+            if ended.status().steps > saved_steps:
+                ended.save(folder)
+        except Exception as error:  # maybe a bug of the estimator; the other map has begun
+            log.debug("the end of a map is not saved", exc_info=True)
+            text = f"{folder.name}: the last scans are not saved: {in_a_line(error)}"
+            self._notify("error", text)
 
     def _save_if_new(self) -> None:
         """Save the map if it has grown since the last save."""

@@ -55,7 +55,7 @@ class LiveMapper:
     ) -> None:
         self._config, self._view, self._prepare = config, view, prepare
         self._lock = threading.Lock()
-        self._mapping: _Mapping | None = None
+        self._mapping: LiveMap | None = None
 
     def warm_up(self) -> None:
         """Compile in the background, so that the first map does not have to wait."""
@@ -67,8 +67,10 @@ class LiveMapper:
         except Exception as error:  # reported when mapping starts and fails again
             log.warning("the estimator cannot be compiled: %s", error)
 
-    def start(self, continued: ContinuedMap | None = None) -> None:
+    def start(self, continued: ContinuedMap | None = None) -> LiveMap | None:
         """End the present map; begin a new one with the robot at its origin, or continue one.
+
+        Returns the map that has ended, None if there was none.
 
         Raises
         ------
@@ -78,11 +80,12 @@ class LiveMapper:
         with self._lock:
             before = self._mapping
             thread = None if before is None else before.thread
-            begun = _Mapping(self._config, self._view, self._prepare, thread, continued)
+            begun = LiveMap(self._config, self._view, self._prepare, thread, continued)
             if before is not None:
                 before.end()
             self._mapping = begun
             begun.thread.start()
+            return before
 
     @property
     def continued(self) -> ContinuedMap | None:
@@ -103,7 +106,7 @@ class LiveMapper:
         with self._lock:
             if self._mapping is not None:
                 self._mapping.end()
-                self._mapping.thread.join(2.0)
+                self._mapping.wait()
 
     def save(self, folder: Path) -> Path:
         """Write a run folder of the present map, and return it; mapping goes on.
@@ -116,7 +119,7 @@ class LiveMapper:
         ImpError
             If nothing is mapped yet, or the folder cannot be written.
         """
-        refined, truth = self._draft()
+        refined, truth = self._present().draft()
         return write_run(folder, *refined(), truth)
 
     def save_map(self, folder: Path) -> Path:
@@ -127,22 +130,20 @@ class LiveMapper:
         ImpError
             If nothing is mapped yet, or the file cannot be written.
         """
-        refined, _ = self._draft()
-        known, _ = refined()
-        return known.save(folder / FILE)
+        return self._present().save(folder)
 
-    def _draft(self) -> tuple[Callable[[], tuple[Map, Outcome]], Array]:
+    def _present(self) -> LiveMap:
         mapping = self._mapping
         if mapping is None or mapping.run.scans == 0:
             raise ImpError("no map to save yet; start mapping and wait for a scan")
-        return mapping.draft()
+        return mapping
 
     def status(self) -> MapperStatus:
         """Return the status of mapping; never blocks."""
         return OFF if self._mapping is None else self._mapping.status()
 
 
-class _Mapping:
+class LiveMap:
     """One map, from its start to its end, and its thread."""
 
     def __init__(
@@ -175,6 +176,7 @@ class _Mapping:
 
     @property
     def state(self) -> State:
+        """Its state; see `MapperStatus`."""
         if self._failure:
             return "failed"
         if self._ended:
@@ -204,6 +206,16 @@ class _Mapping:
         self._ended = True
         self._inbox.wake()
 
+    def wait(self) -> None:
+        """Wait until an ended map has its last scan."""
+        self.thread.join(2.0)
+
+    def save(self, folder: Path) -> Path:
+        """Write the map file to a folder, as `LiveMapper.save_map` does; return its path."""
+        refined, _ = self.draft()
+        known, _ = refined()
+        return known.save(folder / FILE)
+
     def draft(self) -> tuple[Callable[[], tuple[Map, Outcome]], Array]:
         """Return a function that gives the present map and its run, and the true path.
 
@@ -220,6 +232,7 @@ class _Mapping:
                 self._busy.release()
 
     def status(self) -> MapperStatus:
+        """Return the status of mapping; never blocks."""
         run, inbox = self.run, self._inbox
         return MapperStatus(
             self.state,

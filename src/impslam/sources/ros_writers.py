@@ -213,6 +213,11 @@ CHANNELS: dict[type[Message], tuple[Channel, ...]] = {
 }
 
 
+def base_topic(kind: type[Message]) -> str:
+    """Return the topic of a type of message; the name of the type if it cannot be recorded."""
+    return CHANNELS[kind][0].topic if kind in CHANNELS else kind.__name__
+
+
 class Record(NamedTuple):
     """A serialised message of a log."""
 

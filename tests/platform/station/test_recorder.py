@@ -27,6 +27,7 @@ from impslam.platform.station.recorder import (
     file_name,
 )
 from impslam.platform.station.recorder_queue import ReadingQueue
+from impslam.platform.station.topics import TopicNames
 from impslam.sources import live_recording
 from impslam.sources.base import Stream, recognise
 from impslam.types import (
@@ -257,6 +258,25 @@ def test_a_second_lidar_has_a_topic_of_its_own(recorder: LogRecorder) -> None:
     _, source = read(path)
     assert source.problems.counts["error on the robot"] == 2  # of the three events
     assert source.problems.examples["error on the robot"] == f"{path}: urg: lost"
+
+
+@pytest.mark.parametrize("order", [("front", "rear"), ("rear", "front")])
+@pytest.mark.parametrize(
+    ("wanted", "expected"),
+    [
+        ((), None),  # whoever is first
+        (("/scan/front", "/scan/rear"), {"front": "/scan/front", "rear": "/scan/rear"}),
+        (("/scan", "/scan/rear"), {"front": "/scan", "rear": "/scan/rear"}),
+    ],
+)
+def test_a_topic_that_the_config_wants_is_that_of_its_device(
+    order: tuple[str, str], wanted: tuple[str, ...], expected: dict[str, str] | None
+) -> None:
+    names = TopicNames(wanted)
+    for _ in range(2):
+        found = {device: names.topic(scan(now(), device).message, device) for device in order}
+        assert found == (expected or {order[0]: "/scan", order[1]: f"/scan/{order[1]}"})
+    assert names.topic(Event(now(), "error", "rear", "lost"), "rear") == "/rosout"
 
 
 def test_a_slow_disk_blocks_nobody_and_pictures_are_dropped_first(

@@ -1,5 +1,6 @@
 """The station as a whole, with failing parts."""
 
+import logging
 import math
 import threading
 import time
@@ -12,13 +13,16 @@ from tests.recorded import perfect
 from tests.rings import GRAPH, ring
 from tests.waiting import wait_until
 
+import impslam
 from impslam.errors import ImpError
 from impslam.map import Map
 from impslam.platform.devices.base import Device, Reading, now
 from impslam.platform.station.recorder import RecordingError
 from impslam.platform.station.station import Station
+from impslam.simulation.robot import Lidar, SimulatedRobot, WheelEncoders
+from impslam.simulation.simulate import simulate
 from impslam.simulation.world import load_world
-from impslam.types import Climate, TruePose
+from impslam.types import Climate, LaserScan, TruePose
 
 NO_DISK = 10**18  # bytes that no disk has free
 
@@ -113,6 +117,82 @@ def corridors(folder, monkeypatch):
     send(robot, messages)
     robot.save_map()
     yield robot, [replace(m, stamp=m.stamp + 5000.0) for m in messages]
+    robot.stop()
+
+
+TWO_LIDARS = """
+base = "imp"
+sensors.lidar.kind = "none"
+[sensors.front]
+kind = "lidar2d"
+stream = "/scan/front"
+mount = [0.15, 0.0, 0.0]
+[sensors.rear]
+kind = "lidar2d"
+stream = "/scan/rear"
+mount = [-0.2, 0.05, 3.141592653589793]
+"""
+
+
+def sent_by_two_lidars(robot, devices):
+    """Let lidars of these names send the scans of a drive, and return the live map."""
+    robot.mapper._prepare = lambda config: None
+    robot.start_mapping()
+    wait_until(lambda: robot.mapper.status().state == "running")
+    mounts = ((0.15, 0.0, 0.0), (-0.2, 0.05, math.pi))
+    drives = [
+        simulate(
+            load_world("room"),
+            SimulatedRobot(
+                encoders=WheelEncoders.perfect(), lidar=Lidar.perfect(mount=mount), imu=None
+            ),
+        )
+        for mount in mounts
+    ]
+    first, second = ([m for m in drive if not isinstance(m, TruePose)][:600] for drive in drives)
+    readings = [
+        *((m, devices[0] if isinstance(m, LaserScan) else "autopilot") for m in first),
+        *((m, devices[1]) for m in second if isinstance(m, LaserScan)),
+    ]
+    for message, device in sorted(readings, key=lambda reading: reading[0].stamp):
+        robot.receive(Reading(message, message.stamp, device))
+        wait_until(lambda: robot.mapper.status().waiting == 0)
+    drain(robot.mapper)
+    return sum(isinstance(m, LaserScan) for m, _ in readings)
+
+
+def test_the_map_of_two_lidars_is_that_of_the_recording(folder, tmp_path):
+    path = tmp_path / "two.toml"
+    path.write_text(TWO_LIDARS)
+    robot = Station({}, str(path), folder, (0.5, 1.0), 0)
+    log = robot.recorder.start()
+    scans = sent_by_two_lidars(robot, ("front", "rear"))
+    status = robot.mapper.status()
+    assert (status.detail, status.dropped_scans) == ("", 0)
+    assert not math.isnan(status.latency)
+    robot.stop()
+    (saved,) = folder.glob("maps/*/map.imp")
+    live, recorded = Map.load(saved).path(), impslam.run(log).path()
+    assert scans - 3 <= len(live) <= len(recorded) <= scans  # the last ones wait for odometry
+    np.testing.assert_allclose(live, recorded[: len(live)], atol=1e-4)
+    assert len(Map.load(saved).keyframes) > 0
+
+
+@pytest.mark.parametrize(
+    ("devices", "said"),
+    [
+        (("left", "right"), "nothing in the config reads the stream '/scan'; there is "),
+        (("front", "raer"), "nothing in the config reads the stream '/scan'; there is "),
+    ],
+)
+def test_a_lidar_that_the_config_does_not_read_is_reported(folder, tmp_path, devices, said, caplog):
+    path = tmp_path / "two.toml"
+    path.write_text(TWO_LIDARS)
+    robot = Station({}, str(path), folder, (0.5, 1.0), 0)
+    with caplog.at_level(logging.WARNING, "impslam"):
+        sent_by_two_lidars(robot, devices)
+    assert robot.mapper.status().detail.startswith(said)
+    assert caplog.text.count(said) == 1
     robot.stop()
 
 

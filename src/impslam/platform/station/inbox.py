@@ -6,8 +6,9 @@ import threading
 import time
 from collections import deque
 from dataclasses import dataclass
+from typing import Generic, TypeVar
 
-from impslam.types import Message
+T = TypeVar("T")
 
 MAX_SCANS = 3
 """Scans that may wait: 0.3 s at 10 Hz. More would delay the map, fewer would drop scans at a short
@@ -17,14 +18,14 @@ MAX_MESSAGES = 60_000
 
 
 @dataclass(slots=True, eq=False)
-class Entry:
+class Entry(Generic[T]):
     """A waiting message; None once it is dropped."""
 
-    message: Message | None
+    message: T | None
     arrived: float
 
 
-class Inbox:
+class Inbox(Generic[T]):
     """A queue of messages in order of arrival.
 
     When more than `scans` scans wait, the oldest is dropped and counted: consecutive scans overlap,
@@ -34,13 +35,13 @@ class Inbox:
 
     def __init__(self, scans: int = MAX_SCANS) -> None:
         self._max_scans = scans
-        self._entries: deque[Entry] = deque()
-        self._scans: deque[Entry] = deque()
+        self._entries: deque[Entry[T]] = deque()
+        self._scans: deque[Entry[T]] = deque()
         self._changed = threading.Condition()
         self._woken = False
         self.dropped, self.dropped_at = 0, float("-inf")
 
-    def put(self, message: Message, arrived: float, is_scan: bool) -> bool:
+    def put(self, message: T, arrived: float, is_scan: bool) -> bool:
         """Add a message, from any thread; return whether there was room."""
         with self._changed:
             if len(self._entries) >= MAX_MESSAGES:
@@ -55,7 +56,7 @@ class Inbox:
             self._changed.notify()
             return True
 
-    def take(self, timeout: float | None = None) -> tuple[Message, float] | None:
+    def take(self, timeout: float | None = None) -> tuple[T, float] | None:
         """Return the next message and its arrival time; None after `timeout` s, or if woken."""
         with self._changed:
             self._changed.wait_for(lambda: self._entries or self._woken, timeout)

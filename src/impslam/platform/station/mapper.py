@@ -18,11 +18,13 @@ from impslam.observers.recorder import TruthRecorder
 from impslam.observers.run_folder import write_run
 from impslam.platform.devices.base import now
 from impslam.platform.station.continued_map import ContinuedMap
-from impslam.platform.station.inbox import MAX_MESSAGES, Inbox
+from impslam.platform.station.inbox import MAX_MESSAGES, MAX_SCANS, Inbox
 from impslam.platform.station.map_store import FILE
 from impslam.platform.station.mapper_status import OFF, MapperStatus, State, scans_text
+from impslam.platform.station.stream_check import StreamCheck
 from impslam.platform.station.warm_up import warm_up
 from impslam.run import Run
+from impslam.sources.ros_writers import base_topic
 from impslam.types import Array, Message, TruePose
 
 log = logging.getLogger(__name__)
@@ -92,14 +94,16 @@ class LiveMapper:
         """The map that is continued or localised in, None if the map is a new one."""
         return None if self._mapping is None else self._mapping.continued
 
-    def put(self, message: Message, arrived: float | None = None) -> None:
+    def put(self, message: Message, arrived: float | None = None, stream: str = "") -> None:
         """Add a message, from any thread; never blocks.
 
-        `arrived` is its arrival in host time, by default now.
+        `arrived` is its arrival in host time, by default now; `stream` is by default the topic of its
+        type.
         """
         mapping = self._mapping
         if mapping is not None and mapping.open:
-            mapping.put(message, now() if arrived is None else arrived)
+            stream = stream or base_topic(type(message))
+            mapping.put(message, now() if arrived is None else arrived, stream)
 
     def stop(self) -> None:
         """End mapping; the map can still be shown and saved."""
@@ -162,7 +166,10 @@ class LiveMap:
         robot = self.run.robot
         self._scan_types = tuple(sensor.consumes for sensor in robot.sensors.values())
         self._message_types = (*robot.streams.consumes, TruePose)
-        self._inbox = Inbox()
+        kinds = (robot.odometry.consumes, *self._scan_types)
+        robot.streams.choose({kind: base_topic(kind) for kind in kinds})  # as in a recording
+        self._streams = StreamCheck(robot.streams)
+        self._inbox: Inbox[tuple[str, Message]] = Inbox(MAX_SCANS * max(len(robot.sensors), 1))
         # `_busy` guards the run. A copier of the map holds `_next_turn` while it waits for `_busy`, so
         # that the estimator does not take it again at once.
         self._next_turn, self._busy = threading.Lock(), threading.Lock()
@@ -188,14 +195,17 @@ class LiveMap:
         """Whether messages are accepted."""
         return not (self._failure or self._ended)
 
-    def put(self, message: Message, arrived: float) -> None:
-        """Add a message of a type that the estimator uses; ignore others.
+    def put(self, message: Message, arrived: float, stream: str) -> None:
+        """Add a message of a type and stream that the estimator uses; ignore others.
 
         The map begins when the estimator is ready: earlier odometry would only make the pose at the
         origin uncertain, which is certain by definition.
         """
-        if self._compiled and isinstance(message, self._message_types):
-            room = self._inbox.put(message, arrived, isinstance(message, self._scan_types))
+        if not self._compiled or not isinstance(message, self._message_types):
+            return
+        if isinstance(message, TruePose) or self._streams.reads(type(message), stream):
+            is_scan = isinstance(message, self._scan_types)
+            room = self._inbox.put((stream, message), arrived, is_scan)
             if not room:
                 self._fail(
                     f"the estimator has left {MAX_MESSAGES} messages waiting; start a new map"
@@ -243,6 +253,7 @@ class LiveMap:
             self._latency,
             self._failure
             or self._recently_dropped()
+            or self._streams.notice()
             or self._missing_odometry()
             or run.odometry_notice,
             run.robot.problems.counts.get("scan", 0),
@@ -310,7 +321,7 @@ class LiveMap:
             if not run.robot.pending:
                 self._progress = time.monotonic()
             if taken is not None:
-                self._feed(*taken)
+                self._feed(*taken[0], taken[1])
             if time.monotonic() - self._progress > ODOMETRY_TIMEOUT and self._inbox.empty:
                 run.flush()
             if run.scans > before:
@@ -332,10 +343,10 @@ class LiveMap:
             self._view.show_dead_reckoned(path, silent)
             self._dead_reckoned_at = moment
 
-    def _feed(self, message: Message, arrived: float) -> None:
+    def _feed(self, stream: str, message: Message, arrived: float) -> None:
         if isinstance(message, self._scan_types):
             self._view.expect(message.stamp, arrived)
-        self.run.feed(single_row(type(message).__name__, message, self._order))
+        self.run.feed(single_row(stream, message, self._order))
         self._order += 1
 
     def _log_drops(self) -> None:

@@ -17,6 +17,7 @@ from impslam.errors import ImpError
 from impslam.paths import numbered
 from impslam.platform.devices.base import Reading
 from impslam.platform.station.recorder_thread import Recording, RecordingError, disk_error
+from impslam.platform.station.topics import TopicNames
 from impslam.sources.live_recording import LogExistsError
 
 MAX_NAME_LENGTH = 60  # characters; file systems allow 255 bytes with date, number and suffix
@@ -90,13 +91,19 @@ class LogRecorder:
     preset : name of the robot's preset, or its config as TOML; written first, used by `imp run LOG`
     floor : bytes that stay free on the disk
     notify : called with (level, text), from any thread, for events that everyone should see
+    topics : names the topics of readings
     """
 
     def __init__(
-        self, folder: Path, preset: str, floor: int, notify: Callable[[str, str], None]
+        self,
+        folder: Path,
+        preset: str,
+        floor: int,
+        notify: Callable[[str, str], None],
+        topics: TopicNames | None = None,
     ) -> None:
         self._folder, self._preset, self._floor = Path(folder), preset, floor
-        self._notify = notify
+        self._notify, self._topics = notify, topics or TopicNames()
         self._free = Sampled(self._free_above_floor)
         self._start_stop = threading.Lock()  # of `start` and `stop`; `put` never waits for it
         self._recording: Recording | None = None
@@ -168,7 +175,8 @@ class LogRecorder:
                 )
             for path in self._paths(name):
                 with suppress(LogExistsError):  # another recorder has just taken this name
-                    return Recording(path, self._preset, self._free_above_floor, self._notify)
+                    free, topics = self._free_above_floor, self._topics
+                    return Recording(path, self._preset, free, self._notify, topics)
             raise AssertionError("names never end")
         except OSError as error:
             raise disk_error(self._folder, error) from None

@@ -14,9 +14,8 @@ from pathlib import Path
 from impslam.errors import ImpError, MessageError
 from impslam.platform.devices.base import Reading, now
 from impslam.platform.station.recorder_queue import ReadingQueue
+from impslam.platform.station.topics import TopicNames
 from impslam.sources.live_recording import LiveMcapWriter
-from impslam.sources.ros_build import topic_name
-from impslam.types import DeviceTime, Event, Message
 
 log = logging.getLogger(__name__)
 
@@ -50,6 +49,7 @@ class Recording:
     path, preset : as of `LiveMcapWriter`
     free_bytes : returns the bytes that may still be written
     notify : called with (level, text), from the thread, for events that everyone should see
+    topics : names the topics of readings
 
     Raises
     ------
@@ -63,8 +63,9 @@ class Recording:
         preset: str,
         free_bytes: Callable[[], int],
         notify: Callable[[str, str], None],
+        topics: TopicNames,
     ) -> None:
-        self.path, self.error = path, ""
+        self.path, self.error, self._topics = path, "", topics
         self._free_bytes, self._notify = free_bytes, notify
         self._started_at, self._ended_at = now(), float("nan")
         self._queue = ReadingQueue()
@@ -72,7 +73,6 @@ class Recording:
         self._unsynced: Counter[str] = Counter()
         self._refused: Counter[str] = Counter()
         self._dropped, self._dropping = 0, False  # count, and whether it grew at the last sync
-        self._first: dict[type[Message], str] = {}  # the first device that sent a type
         self._stopping = threading.Event()
         self._log = ExitStack()
         self._writer = self._log.enter_context(LiveMcapWriter(path, preset, self._started_at))
@@ -161,7 +161,8 @@ class Recording:
     def _write(self, reading: Reading) -> None:
         message, kind = reading.message, type(reading.message).__name__
         try:
-            self._writer.write(message, reading.arrived, self._topic_suffix(reading))
+            suffix = self._topics.suffix(message, reading.device)
+            self._writer.write(message, reading.arrived, suffix)
         except OSError:
             raise
         except Exception as error:  # one bad message must not end the recording
@@ -172,13 +173,6 @@ class Recording:
                 self._notify("warning", f"{reading.device}: {kind} cannot be recorded: {error}")
         else:
             self._unsynced[kind] += 1
-
-    def _topic_suffix(self, reading: Reading) -> str:
-        """Return the suffix of the topic of a second lidar, camera, ...; "" for the first one."""
-        if isinstance(reading.message, Event | DeviceTime):  # these name their device
-            return ""
-        first = self._first.setdefault(type(reading.message), reading.device)
-        return "" if first == reading.device else f"/{topic_name(reading.device)}"
 
     def _report_drops(self) -> None:
         """Notify when the queue begins to drop readings, and of the counts when it has recovered."""

@@ -21,6 +21,7 @@ from impslam.platform.station.map_store import MapStore
 from impslam.platform.station.mapper import LiveMapper
 from impslam.platform.station.mapper_status import MapperStatus
 from impslam.platform.station.recorder import LogRecorder, RecordingStatus
+from impslam.platform.station.topics import TopicNames
 from impslam.types import Climate, Event, Image, Velocity
 
 MAX_EVENTS = 200  # kept for the page; the log has all of them
@@ -59,7 +60,10 @@ class Station:
         self.devices, self.folder, self.limits = devices, folder, limits
         self.store = LogStore(folder)
         self._preset, config = preset, load(preset)
-        self.recorder = LogRecorder(folder, _portable(preset, config), floor, self._notify)
+        self._topics = TopicNames(config.make_robot().streams.wanted)
+        self.recorder = LogRecorder(
+            folder, _portable(preset, config), floor, self._notify, self._topics
+        )
         self.view = LiveView()
         self.mapper = LiveMapper(config, self.view)
         drives = [device for device in devices.values() if isinstance(device, DriveDevice)]
@@ -146,7 +150,7 @@ class Station:
         elif isinstance(message, Climate):
             self.climate = message
         else:
-            self.mapper.put(message, reading.arrived)
+            self.mapper.put(message, reading.arrived, self._topics.topic(message, reading.device))
 
     def _record_command(self, speed: float, turn_rate: float) -> None:
         """Record a drive command, but keep it from the mapper: it is not odometry."""

@@ -294,6 +294,7 @@ class FakeStation:
         self.pose, self.odometry = np.zeros(3), np.zeros(3)
         self.faults: list[dict[str, Any]] = []
         self.hints: list[tuple[float, float]] = []
+        self.map_folder: Path | None = None
 
     def fault(self, fault: str, **what: Any) -> None:
         if fault == "malfunction":
@@ -326,6 +327,7 @@ class FakeStation:
     def start_mapping(self) -> None:
         self.mapper.state = "running"
         self.mapper.starts += 1
+        self.map_folder = None
 
     def end_mapping(self) -> None:
         self.mapper.state = "off"
@@ -340,7 +342,8 @@ class FakeStation:
         self.mapper.placed = self.view.placed = True
 
     def save_map(self) -> Path:
-        return self.folder / "maps" / "map-20261121-101500"
+        self.map_folder = self.folder / "maps" / "map-20261121-101500"
+        return self.map_folder
 
     def _announce(self, level: str, text: str) -> None:
         self.events.append(Event(now(), level, "robot", text))

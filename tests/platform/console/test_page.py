@@ -371,9 +371,11 @@ def test_mapping_is_restarted_and_saved(browser, robot):
         expect(page.get_by_test_id("map-end")).to_be_hidden()
         expect(page.get_by_test_id("notice")).to_contain_text("Mapping has ended")
         expect(page.get_by_test_id("pose-state")).to_have_count(0)  # LOST would be an alarm
+        expect(page.get_by_test_id("map-saved")).to_be_visible()
         page.get_by_test_id("map-start").click()
         expect(page.get_by_test_id("mapping")).to_contain_text("Mapping")
         expect(page.get_by_test_id("notice")).to_have_count(0)
+        expect(page.get_by_test_id("map-saved")).to_be_hidden()  # it is that of the map before
 
 
 def test_every_fault_on_the_page_exists_in_a_virtual_robot():

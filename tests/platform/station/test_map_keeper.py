@@ -14,6 +14,7 @@ from impslam.errors import ImpError
 from impslam.map import Map
 from impslam.platform.station import map_keeper as module
 from impslam.platform.station.map_keeper import MapKeeper
+from impslam.platform.station.map_store import MapStore
 from impslam.platform.station.mapper_status import MapperStatus
 from impslam.simulation.world import load_world
 
@@ -113,6 +114,30 @@ def test_an_ended_map_is_saved_and_is_not_being_made(keeper, toy):
     assert toy.saved == [("map-1", 3), ("map-1", 3)]
     with pytest.raises(ImpError, match="mapping has ended"):
         keeper.hint(0.0, 0.0)
+
+
+def test_a_deleted_map_is_saved_to_another_folder_but_only_on_request(
+    keeper, toy, tmp_path, monkeypatch
+):
+    monkeypatch.undo()  # the bin needs the time
+    store = MapStore(tmp_path / "maps", lambda: keeper.name, keeper.forget)
+    toy.steps = 3
+    assert keeper.folder is None
+    folder = keeper.save()
+    assert keeper.folder == folder
+    keeper.end()
+    store.delete(folder.name)
+    assert keeper.folder is None
+    keeper._try_to_save()
+    assert not folder.exists()
+    with monkeypatch.context() as patch:
+        patch.setattr(module.time, "strftime", lambda form: "map-2")
+        assert keeper.save().name == "map-2"
+    store.restore(store.bin()[0].name)
+    store.delete(folder.name)
+    assert keeper.folder == folder.with_name("map-2")
+    keeper.begin()
+    assert keeper.folder is None
 
 
 def test_manual_saving_writes_all_files_to_the_same_folder(keeper, toy, tmp_path):

@@ -26,6 +26,7 @@ class MappingPanel:
     def __init__(self, station: Station, viewer: Viewer) -> None:
         self._station, self._viewer = station, viewer
         self._may = viewer.session.may_drive
+        self._saved_folder: Path | None = None
         with card("Map", "map", "mapping"):
             with line():
                 self._start = button(
@@ -52,6 +53,8 @@ class MappingPanel:
         self._status.text = _status_text(status) + (
             f": {status.detail}" if status.detail else scans
         )
+        saved = self._saved_folder is not None and self._saved_folder == self._station.map_folder
+        show(self._saved_line, saved)
 
     async def _on_start(self) -> None:
         await self._viewer.run(self._station.start_mapping)
@@ -71,12 +74,12 @@ class MappingPanel:
     async def _on_save(self) -> None:
         self._status.text = "Saving …"
         saved: Path | None = await self._viewer.run(self._station.save_map)
-        self.update(self._station.mapper.status())
         if saved is not None:
+            self._saved_folder = saved
             self._saved.text = f"Saved on the robot in {saved}"
             self._link.props["href"] = f"/maps/{quote(saved.name)}.zip"
             self._link.props["download"] = f"{saved.name}.zip"
-            show(self._saved_line, True)
+        self.update(self._station.mapper.status())
 
 
 def notice(status: MapperStatus) -> str:

@@ -53,6 +53,17 @@ class MapKeeper:
         target = self._target
         return target.name if target is not None and self._mapper.status().on else ""
 
+    @property
+    def folder(self) -> Path | None:
+        """The folder of the present map, also of an ended one; None if it is not saved, or deleted."""
+        return self._target
+
+    def forget(self, name: str) -> None:
+        """Save the present map to another folder from now on, if it was saved to the one deleted."""
+        with self._saving:
+            if self._target is not None and self._target.name == name:
+                self._target = None
+
     def start(self) -> None:
         """Start to save every minute; remove partial files and folders that an earlier program left."""
         for part in self._folder.glob("*/.*.part"):

@@ -45,11 +45,17 @@ class MapStore(Store):
     ----------
     folder : where maps are kept; it may be missing, and maps may vanish at any time
     making : returns the name of the map that is being made, "" if none is
+    deleted : called with the name of a map after it is deleted
     """
 
-    def __init__(self, folder: Path, making: Callable[[], str] = lambda: "") -> None:
+    def __init__(
+        self,
+        folder: Path,
+        making: Callable[[], str] = lambda: "",
+        deleted: Callable[[str], None] = lambda name: None,
+    ) -> None:
         super().__init__(folder, MAPS)
-        self._making = making
+        self._making, self._deleted = making, deleted
         self._cache: dict[str, tuple[tuple[int, int], int, str]] = {}
 
     def maps(self) -> list[StoredMap]:
@@ -68,6 +74,7 @@ class MapStore(Store):
         if self.path(name).name == self._making():
             raise StoreError(f"{name}: is the map in progress; begin a new map before deleting it")
         self.discard(name)
+        self._deleted(name)
 
     def _describe(self, name: str) -> StoredMap | None:
         """Return the description of a map; the file is read once per version."""

@@ -72,7 +72,7 @@ class Station:
         )
         maps = folder / "maps"
         self.keeper = MapKeeper(self.mapper, maps, self._notify)
-        self.maps = MapStore(maps, lambda: self.keeper.name)
+        self.maps = MapStore(maps, lambda: self.keeper.name, self.keeper.forget)
         self.events: list[Event] = []
         self.picture: Image | None = None
         self.climate: Climate | None = None
@@ -133,6 +133,11 @@ class Station:
     def save_map(self) -> Path:
         """Write the present map and all other files of a run into its folder; mapping goes on."""
         return self.keeper.save()
+
+    @property
+    def map_folder(self) -> Path | None:
+        """The folder of the present map, also of an ended one; None if it is not saved, or deleted."""
+        return self.keeper.folder
 
     def health(self) -> StationHealth:
         """Return the status of all parts."""

@@ -728,11 +728,19 @@ class TestSlowness:
         assert b"connection: close" in answer.lower()
         assert "a slow body" in caplog.text
 
-    @pytest.mark.parametrize("data", [b"", b"GET / HTTP/1.1\r\nHost: "])
+    @pytest.mark.parametrize("data", [b"G", b"GET / HTTP/1.1\r\nHost: "])
     def test_a_slow_head_times_out(self, served, data, monkeypatch, caplog):
         monkeypatch.setattr(protocol, "HEAD_TIMEOUT", 0.2)
         assert raw(served.port, data) == b""
         assert "a slow request" in caplog.text
+
+    def test_an_unused_connection_times_out_without_a_warning(self, served, monkeypatch, caplog):
+        """Browsers open connections in advance."""
+        monkeypatch.setattr(protocol, "HEAD_TIMEOUT", 0.2)
+        begun = time.monotonic()
+        assert raw(served.port, b"") == b""
+        assert time.monotonic() - begun < 4.0  # it was closed
+        assert "refused" not in caplog.text
 
     def test_a_slow_second_head_times_out(self, served, monkeypatch, caplog):
         monkeypatch.setattr(protocol, "HEAD_TIMEOUT", 0.2)

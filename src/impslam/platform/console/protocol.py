@@ -34,6 +34,7 @@ class LimitedProtocol(H11Protocol):
     ) -> None:
         super().__init__(config, server_state, app_state, _loop)
         self._timer: asyncio.TimerHandle | None = None
+        self._silent = True
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Accept a connection, unless there are too many."""
@@ -48,6 +49,7 @@ class LimitedProtocol(H11Protocol):
 
     def data_received(self, data: bytes) -> None:
         """Process bytes; the timer runs while a head is incomplete."""
+        self._silent = False
         super().data_received(data)
         if self.conn.their_state is not h11.IDLE:
             self._cancel_timer()
@@ -72,7 +74,8 @@ class LimitedProtocol(H11Protocol):
 
     def _on_timeout(self) -> None:
         self._timer = None
-        self._record("a slow request")
+        if not self._silent:  # browsers open connections in advance, and may not use them
+            self._record("a slow request")
         self.transport.abort()
 
     def _cancel_timer(self) -> None:

@@ -212,8 +212,14 @@ def test_it_beats_for_the_watchdog(tmp_path):
 class TestEnd:
     @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
     def test_a_signal_ends_it_within_2_s_with_sockets_open(self, tmp_path, number):
+        """It prints nothing of its own, even if a client does not take its answer."""
+        with (tmp_path / "big.mcap").open("wb") as log:
+            log.truncate(64_000_000)
         child = subprocess.Popen(
-            [sys.executable, "-c", CHILD, tmp_path], stdout=subprocess.PIPE, text=True
+            [sys.executable, "-c", CHILD, tmp_path],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
         )
         with child:
             origin = child.stdout.readline().strip().rpartition(" ")[2]
@@ -231,14 +237,19 @@ class TestEnd:
                     close_timeout=1,
                 ) as line,
                 socket.create_connection(("127.0.0.1", port)) as silent,
+                socket.create_connection(("127.0.0.1", port)) as stalled,
             ):
                 assert line.recv(timeout=5).startswith("0")
                 silent.sendall(b"GET /")
+                request = f"GET /logs/big.mcap HTTP/1.1\r\n{head}Cookie: {cookie}\r\n\r\n"
+                stalled.sendall(request.encode())
+                assert stalled.recv(64).startswith(b"HTTP/1.1 200")  # and nothing of the rest
                 begun = time.monotonic()
                 child.send_signal(number)
                 assert child.stdout.readline() == "put away\n"
                 spent = time.monotonic() - begun
             assert child.wait(10.0) == 0
+            assert child.stderr.read() == ""
         assert spent < 2.0
 
     def test_pressing_ctrl_c_twice_shows_no_traceback(self, tmp_path):

@@ -101,6 +101,8 @@ class Server(uvicorn.Server):
         self.authenticator.close()
         self.authenticator.refusals.flush(everything=True)
         gc.unfreeze()
+        # Requests that are aborted now, after `GRACE`, are not errors.
+        logging.getLogger("uvicorn.error").setLevel(logging.CRITICAL + 1)
         await super().shutdown(sockets)
 
     @contextlib.contextmanager
@@ -121,9 +123,7 @@ class Server(uvicorn.Server):
                 signal.signal(one, handler)
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
-        if self.should_exit:  # the second signal does not wait; aborted requests are not errors
-            self.force_exit = True
-            logging.getLogger("uvicorn.error").setLevel(logging.CRITICAL + 1)
+        self.force_exit = self.should_exit  # the second signal does not wait
         self.should_exit = True
 
 

@@ -192,6 +192,34 @@ def test_noisy_walls_are_still_surfaces(rng, noise):
     assert np.mean(agree > 0.8) > 0.75
 
 
+def test_normals_of_a_near_wall_do_not_depend_on_the_spacing_of_the_beams(rng):
+    """As far as the noise of independent beams allows: those that are closer are not left out."""
+    sigmas = []
+    for beams in (361, 1441):
+        angles = np.radians(np.linspace(-90.0, 90.0, beams))
+        scan = cast(np.array([[[1.0, -4.0], [1.0, 4.0]]]), angles=angles, noise=0.01, rng=rng).scan
+        near = features(scan, 0.0)
+        near = near[(near[:, 4] == 1.0) & (np.abs(near[:, 1]) < 0.5)]
+        sigmas.append(near[:, 3].std())
+    assert sigmas[0] < 0.03
+    assert sigmas[1] < sigmas[0]
+
+
+@pytest.mark.parametrize(("beams", "known"), [(6, False), (60, True)])
+def test_a_piece_of_a_wall_that_is_short_for_the_noise_has_no_weight(rng, beams, known):
+    """Beams of 0.35 deg between two that are lost, 1.6 m away: 5 cm of a wall, or 60 cm."""
+    angles = np.radians(0.352 * np.arange(-200, 201))
+    scan = cast(np.array([[[1.6, -9.0], [1.6, 9.0]]]), angles=angles, noise=0.015, rng=rng).scan
+    piece = slice(200, 200 + beams)
+    valid = scan.valid.copy()
+    valid[[piece.start - 1, piece.stop]] = False
+    rows = features(with_ranges(scan, scan.ranges, valid), 0.0)
+    y = 1.6 * np.tan(angles[piece])
+    rows = rows[(rows[:, 1] > y[0] - 0.01) & (rows[:, 1] < y[-1] + 0.01)]
+    assert len(rows) >= beams - 2
+    assert (rows[1:-1, 4] > 0.0).all() == known
+
+
 def test_the_noise_of_one_object_is_that_object():
     """Points scattered over 20 cm within a smooth room are no surface."""
     scan = cast(ROOM, angles=np.linspace(-math.pi, math.pi, 720, endpoint=False)).scan

@@ -13,6 +13,7 @@ from impslam.surfaces.features import features
 from impslam.surfaces.surface_map import (
     CELL,
     LONE_WEIGHT,
+    MAX_BEYOND_END,
     MIN_NORMAL_COSINE,
     MIXED_WEIGHT,
     Alignment,
@@ -181,14 +182,13 @@ def residuals(held, pose, facing_at):
     for surfel, row in held:
         e = pose[:2] + R @ row[:2] - surfel[:2]
         if surfel[5] > 0.0 and row[4] > 0.0:
-            if surfel[2:4] @ at @ row[2:4] >= MIN_NORMAL_COSINE:
+            beyond = surfel[5] < 1.0 and abs(surfel[2] * e[1] - surfel[3] * e[0]) >= MAX_BEYOND_END
+            if surfel[2:4] @ at @ row[2:4] >= MIN_NORMAL_COSINE and not beyond:
                 out.append((surfel[5] * row[4], np.array([surfel[2:4] @ e])))
             continue
-        normals = [
-            n for n, weight in ((at @ row[2:4], row[4]), (surfel[2:4], surfel[5])) if not weight
-        ]
-        normal = next((n for n in normals if n.any()), None)  # at grazing incidence
-        e = e if normal is None else np.array([normal @ e])
+        of_surfel = not row[2:4].any() or (surfel[5] == 0.0 and row[4] > 0.0)
+        normal = surfel[2:4] if of_surfel else at @ row[2:4]
+        e = np.array([normal @ e]) if normal.any() else e
         out.append((LONE_WEIGHT if surfel[5] == row[4] else MIXED_WEIGHT, e))
     return out
 
@@ -241,6 +241,26 @@ def test_points_at_grazing_incidence_determine_nothing_along_their_wall():
         assert evidence.sums[1] > 0.0
         assert evidence.H[1, 1] > 0.0
         assert evidence.H[0, 0] == evidence.g[0] == 0.0
+
+
+def test_a_point_without_a_normal_determines_nothing_along_a_known_wall():
+    wall = rows(*([0.05 * k, 1.0, 0, -1, 1] for k in range(-20, 60)))
+    lone = rows(*([0.4 * k, 1.0, 0, 0, 0] for k in range(4)))
+    evidence = no_evidence()
+    pose = np.array([0.15, 0.02, 0.0])
+    normal_equations(map_of((wall, np.zeros(3))), lone, pose, 0.4, 1, evidence)
+    assert evidence.H[1, 1] == pytest.approx(4.0 * MIXED_WEIGHT, rel=0.02)
+    assert evidence.H[0, 0] == evidence.g[0] == 0.0
+
+
+@pytest.mark.parametrize(("weight", "pulls"), [(1.0, True), (0.5, False)])
+def test_a_point_beyond_the_end_of_a_wall_does_not_pull(weight, pulls):
+    """The normal at the end is wrong by 0.1 rad, and its distance from there is 20 cm."""
+    end = rows([0.0, 1.0, 0.1, -math.sqrt(0.99), weight])
+    further, evidence = rows([0.2, 1.0, 0.0, -1.0, 1.0]), no_evidence()
+    normal_equations(map_of((end, np.zeros(3))), further, np.zeros(3), 0.4, 1, evidence)
+    assert evidence.sums[1] == pytest.approx(1.0, abs=0.01)
+    assert (evidence.g[0] != 0.0) == (evidence.H[0, 0] != 0.0) == pulls
 
 
 def test_sums_count_points_and_measure_how_they_fit():

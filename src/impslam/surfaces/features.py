@@ -15,7 +15,8 @@ Features: TypeAlias = np.ndarray[Any, np.dtype[np.float32]]
 """(n, 5) x, y in m; the unit normal on the lidar's side; and the weight of that normal.
 
 The weight is 1 on a surface, 0.5 at its end, with neighbours on one side only, and 0 without a surface: the
-normal is then 0, or that of a wall that is seen obliquely. Rows are in beam order.
+normal is then 0, that of a wall that is seen obliquely, or that of a piece too short to determine it. Rows
+are in beam order.
 
 A single point counts as on such a wall if the next two beams on one side end nearer, and the line through
 all three points is oblique and straight. Beams beside a table leg go past it.
@@ -24,7 +25,16 @@ all three points is oblique and straight. Beams beside a table leg go past it.
 NORMAL_RADIUS = (
     0.25  # m on either side for fitting a normal: long compared with the noise of a beam, 1 to 3 cm
 )
-MAX_NEIGHBOURS = 8  # on either side: close to the lidar, more of them add nothing
+MAX_NEIGHBOURS = 8
+"""Nearest neighbours used on either side. Of those beyond, up to `NORMAL_RADIUS`, about as many are used:
+at 1.5 m, 8 beams 0.35 deg apart cover 7 cm, and noise of 1 cm would turn the normal by 4 deg."""
+MAX_NORMAL_SIGMA, MAX_END_SIGMA = 0.15, 0.075
+"""rad, 1 sigma: larger errors of the normal, and at the end of a surface, leave it without weight. Along a
+corridor, the squares of these errors look like information. A few beams between two lost ones, at the edge
+of the view, could hold the robot in place."""
+NORMAL_NOISE = 0.005, 0.03
+"""m, limits of the noise of a range for those errors: few lidars have less, and one with more would have no
+normals."""
 MIN_GAP, GAP_BEAMS = 0.12, 6.0  # m, and beam spacings: neighbours farther apart are on two surfaces
 MAX_GAP = 0.8  # m: upper bound of that distance
 OBLIQUE_BEAMS = 2.0  # beam spacings between neighbours on a wall that is seen at 30 degrees
@@ -84,6 +94,7 @@ def find_features(
         spacing,
         max(MIN_GAP, NOISE_GAP * noise),
         max(ROUGHNESS, NOISE_ROUGHNESS * noise * noise),
+        min(max(noise, NORMAL_NOISE[0]), NORMAL_NOISE[1]) ** 2,
     )
     connected = _connected(points, valid, ranges, limits)
     for i in range(len(points)):
@@ -157,15 +168,17 @@ def _normal(
     connected: Mask,
     ranges: Array,
     origins: Array,
-    limits: tuple[float, float, float],
+    limits: tuple[float, float, float, float],
     i: int,
 ) -> tuple[float, float, float]:
     """Return the normal at point i and its weight: the minor axis of its neighbours' scatter.
 
-    `limits` are the angle between beams, the minimum gap between surfaces in m, and the roughness in m^2.
+    `limits` are the angle between beams, the minimum gap between surfaces in m, the roughness in m^2, and
+    the variance of the ranges in m^2.
     """
-    spacing, _, roughness = limits
-    n, at_end, xx, xy, yy = _scatter(points, connected, i)
+    spacing, _, roughness, noise2 = limits
+    stride = max(1, int(NORMAL_RADIUS / (MAX_NEIGHBOURS * max(ranges[i] * spacing, 1e-3))))
+    n, at_end, xx, xy, yy = _scatter(points, connected, stride, i)
     if n < 3.0:
         return _single(points, valid, ranges, origins, spacing, i)
     x, y = points[i, 0], points[i, 1]
@@ -181,17 +194,19 @@ def _normal(
     towards = (nx * (origins[i, 0] - x) + ny * (origins[i, 1] - y)) / ranges[i]
     if towards < 0.0:
         nx, ny, towards = -nx, -ny, -towards
-    if towards <= MIN_INCIDENCE:
+    max_sigma = MAX_END_SIGMA if at_end else MAX_NORMAL_SIGMA
+    is_known = noise2 < max_sigma * max_sigma * n * 2.0 * half  # the noise adds to both eigenvalues
+    if towards <= MIN_INCIDENCE or not is_known:
         return nx, ny, 0.0
     return nx, ny, 0.5 if at_end else 1.0
 
 
 @kernel
 def _connected(
-    points: Array, valid: Mask, ranges: Array, limits: tuple[float, float, float]
+    points: Array, valid: Mask, ranges: Array, limits: tuple[float, float, float, float]
 ) -> Mask:
     """Return (n,) whether each point and that of the next beam are on one surface; see `_normal`."""
-    spacing, min_gap, _ = limits
+    spacing, min_gap, _, _ = limits
     out = np.zeros(len(points), np.bool_)
     for i in range(len(points) - 1):
         j = i + 1
@@ -202,8 +217,12 @@ def _connected(
 
 
 @kernel
-def _scatter(points: Array, connected: Mask, i: int) -> tuple[float, int, float, float, float]:
+def _scatter(
+    points: Array, connected: Mask, stride: int, i: int
+) -> tuple[float, int, float, float, float]:
     """Return the scatter of point i and its neighbours on the same surface.
+
+    Beyond the nearest ones, only every `stride`-th counts.
 
     The values are the number of points, that of sides without a neighbour, and the variances xx, xy, yy.
     `connected` (n,) is whether a point and the next one are on one surface.
@@ -213,10 +232,12 @@ def _scatter(points: Array, connected: Mask, i: int) -> tuple[float, int, float,
     sx = sy = xx = xy = yy = 0.0
     for step in (-1, 1):
         first = min(i, i + step)  # of the pair of neighbours
-        for k in range(MAX_NEIGHBOURS):
+        for k in range(MAX_NEIGHBOURS * stride):
             pair, j = first + step * k, i + step * (k + 1)
             if pair < 0 or not connected[pair]:
                 break
+            if k >= MAX_NEIGHBOURS and k % stride:
+                continue
             dx, dy = points[j, 0] - x, points[j, 1] - y
             if k > 0 and dx * dx + dy * dy > NORMAL_RADIUS * NORMAL_RADIUS:
                 break

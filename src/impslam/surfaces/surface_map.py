@@ -24,6 +24,9 @@ CELL = 0.05  # m: surfels of one wall are in neighbouring cells
 RADIUS = 8  # cells: a point finds a surfel up to 0.4 m away
 MIN_NORMAL_COSINE = 0.6  # 53 degrees: normals farther apart belong to two surfaces
 MAX_POINTS = 20.0  # over which a surfel averages
+MAX_BEYOND_END = 0.05
+"""m along a surface from a surfel at its end, beyond which points say nothing about the pose: the error of
+the normal there is multiplied by that distance, and would pull back a robot that sees more of a wall."""
 LONE_WEIGHT, MIXED_WEIGHT = 0.2, 0.1
 """Weights of a point if neither it nor its surfel is on a surface, or only one of them."""
 _X, _Y, _NX, _NY, _COUNT, _WEIGHT, _X0, _Y0 = range(8)
@@ -258,7 +261,8 @@ def normal_equations(
             e = nx * ex + ny * ey
             share = 1.0 / (1.0 + e * e * per_scale2)
             w = surfel[_WEIGHT] * weight * share**2
-            sums = _add_row(sums, nx, ny, ny * rx - nx * ry, e, w)
+            if surfel[_WEIGHT] == 1.0 or abs(nx * ey - ny * ex) < MAX_BEYOND_END:
+                sums = _add_row(sums, nx, ny, ny * rx - nx * ry, e, w)
             squares += share * share * e * e
             weights += share * share
         else:
@@ -301,12 +305,12 @@ def _add_lone(
 ) -> tuple[_Sums, float]:
     """Return the sums plus a point, of which it or its surfel is on no surface, and its inlier weight.
 
-    `point` is its position and normal in the directions of the map, and the weight of that normal. On a
-    wall seen obliquely, only the distance across it counts: the point is anywhere along it, and the visible
-    end of the wall moves with the robot.
+    `point` is its position and normal in the directions of the map, and the weight of that normal. If a
+    normal is known, of the point or else of the surfel, only the distance across the surface counts: the
+    point is anywhere along it, and the visible end of a wall moves with the robot.
     """
     rx, ry, nx, ny, weight = point
-    if surfel[_WEIGHT] == 0.0 and (weight > 0.0 or (nx == 0.0 and ny == 0.0)):
+    if (nx == 0.0 and ny == 0.0) or (surfel[_WEIGHT] == 0.0 and weight > 0.0):
         nx, ny = surfel[_NX], surfel[_NY]
     w = LONE_WEIGHT if surfel[_WEIGHT] == weight else MIXED_WEIGHT
     if nx != 0.0 or ny != 0.0:

@@ -8,6 +8,8 @@ from impslam.geometry.algebra import eigenvalues
 from impslam.geometry.kernels import kernel
 from impslam.types import Array
 
+NORMAL_ERROR = 3.0
+"""rad/m: error of a normal by the scatter of its points, which cover 0.25 to 0.5 m."""
 NORMAL_SIGMA = 0.03
 """rad, 1 sigma: error of a normal from three points 0.25 m apart that scatter by 1 cm."""
 
@@ -35,6 +37,27 @@ def remove_spurious(H: Array) -> None:
     """
     weakest, strongest, axis = information(H)
     add_along(H, axis, -max(min(NORMAL_SIGMA**2 * strongest, weakest), 0.0))
+
+
+@kernel
+def hold_along(H: Array, W: Array, rms2: float, guess: Array, pose: Array) -> None:
+    """Correct a match for the spurious information of normals: its H (3, 3), and its pose (3,).
+
+    The normals of points that scatter by r around their surface have errors of `NORMAL_ERROR` r, and the
+    square of that, as a share of a wall's information, appears along the wall. Without it the match would
+    have moved less from odometry's `guess`, of information W (3,), along that axis.
+    """
+    weakest, strongest, axis = information(H)
+    spurious = min(NORMAL_ERROR**2 * rms2 * strongest, weakest)
+    if not spurious > 0.0:
+        return
+    known, prior = weakest - spurious, W[0]
+    excess = 1.0 - known * (weakest + prior) / ((known + prior) * weakest)
+    x, y = math.cos(axis), math.sin(axis)
+    off = excess * (x * (pose[0] - guess[0]) + y * (pose[1] - guess[1]))
+    pose[0] -= off * x
+    pose[1] -= off * y
+    add_along(H, axis, -spurious)
 
 
 @kernel

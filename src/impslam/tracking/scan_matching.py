@@ -46,7 +46,13 @@ from impslam.tracking.match_faults import (
     is_odometry_wrong,
     is_slipping,
 )
-from impslam.tracking.match_information import add_along, add_drift, information, remove_spurious
+from impslam.tracking.match_information import (
+    add_along,
+    add_drift,
+    hold_along,
+    information,
+    remove_spurious,
+)
 from impslam.tracking.matching_state import ScanMatch, Settings, State
 from impslam.tracking.pose_search import SEARCH_BELOW, USUAL_SHARE, find_pose
 from impslam.tracking.reach import widen_after_gap
@@ -278,6 +284,8 @@ def _match(
     share = find_pose(features, _last_scan(beams, state, no_odometry), state, settings, H, W)
     if no_odometry:
         remove_spurious(H)
+    else:
+        hold_along(H, W, state.averages[1], guess, state.pose)
     off = np.empty(3)
     between(guess, state.pose, off)
     fit = MatchQuality(state.evidence.sums[0], share, off)

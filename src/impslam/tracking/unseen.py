@@ -18,7 +18,7 @@ def unseen_points(submap: SurfaceMap, features: Features, pose: Array, last: Las
     """Return how many features of a scan at pose (3,) show what the submap cannot contain yet.
 
     No surface of it is near them, or only the other side of one, and the last scan did not see through
-    them: it ended there or before. Without ranges of the last scan, there are none.
+    them: it did not look there, or ended there or before. Without ranges of the last scan, there are none.
     """
     if len(last.ranges) == 0:
         return 0
@@ -35,6 +35,6 @@ def unseen_points(submap: SurfaceMap, features: Features, pose: Array, last: Las
                 continue
         dx, dy = x - laser[0], y - laser[1]
         k = beam_towards(math.atan2(dy, dx) - laser[2], len(last.ranges), last.geometry)
-        if k >= 0 and 0.0 < last.ranges[k] < math.hypot(dx, dy) + CLEARANCE:
+        if k < 0 or 0.0 < last.ranges[k] < math.hypot(dx, dy) + CLEARANCE:
             count += 1
     return count

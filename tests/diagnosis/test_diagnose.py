@@ -15,11 +15,13 @@ from impslam.calibration.recording import record_batches
 from impslam.columns import Batch, Columns, batches
 from impslam.config import load
 from impslam.diagnosis.agreement import drive_axis, fit_agreement
+from impslam.diagnosis.beam_samples import BeamSamples
 from impslam.diagnosis.diagnose import diagnose
 from impslam.diagnosis.evidence import gather_evidence
 from impslam.diagnosis.field_of_view import _beside
 from impslam.diagnosis.finding import Finding, worst_fault
 from impslam.diagnosis.mount import ahead_of, check_mount
+from impslam.diagnosis.no_return import check_noise
 from impslam.diagnosis.robust import RobustFit
 from impslam.diagnosis.scales import check_scales
 from impslam.geometry.angles import wrap
@@ -491,6 +493,24 @@ def test_noise_of_no_return_is_all_that_is_found_while_the_robot_stands(
     assert name == "sensors.lidar.range_max"
     assert 0.5 * limit < float(value) < limit - 5.0 * sigma
     assert found(wrong, MATCHED, fix) == []
+
+
+@pytest.mark.parametrize(("corners", "reach"), [(4, 4.2), (6, 3.63)])
+def test_walls_near_a_range_max_that_the_lidar_exceeds_are_not_its_noise(
+    drive, corners, reach
+) -> None:
+    """A cheap lidar measures farther than its range_max says, and gives 0 for no return."""
+    rng, apothem, limit = np.random.default_rng(1), 3.45, 3.5
+    angles = np.linspace(-math.pi, math.pi, 360, endpoint=False)
+    normals = math.tau * np.arange(corners) / corners
+    places = rng.uniform(-0.08, 0.08, (100, 2))
+    gaps = apothem - places @ np.stack((np.cos(normals), np.sin(normals)))
+    towards = np.maximum(np.cos(angles[:, None] - normals), 1e-9)
+    ranges = (gaps[:, None] / towards).min(axis=2) + 0.03 * rng.standard_normal((100, 360))
+    ranges[(rng.random(ranges.shape) < 0.2) | (ranges > reach)] = 0.0
+    valid = (ranges > 0.0) & (ranges < limit)
+    sample = BeamSamples(ranges, valid, angles, np.zeros(100), limit)
+    assert check_noise(replace(evidence(drive), samples=sample)) == []
 
 
 def creeping_wheels() -> faults.Change:

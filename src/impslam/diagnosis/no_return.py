@@ -1,7 +1,8 @@
 """Find ranges that mean no return: an exact value, or noise about range_max.
 
 Simulated lidars may add noise to range_max where nothing is in range. Half of these ranges are valid: they
-look like a round wall that moves with the robot.
+look like a round wall that moves with the robot. Surfaces near a range_max that the lidar exceeds, as cheap
+ones do, may be as frequent; their ranges change gradually from beam to beam, while noise is independent.
 """
 
 from __future__ import annotations
@@ -31,7 +32,10 @@ MARGIN = 4.0
 """Widths below range_max that are given up: 5.6 standard deviations, because the smallest width with
 `MIN_PEAK_RATIO` is 1.4 of them."""
 MAX_IMBALANCE = 0.15
-"""Deviation from one half of the share of noise at or beyond range_max: no lidar sees a surface there."""
+"""Deviation from one half of the share of noise at or beyond range_max: few lidars see a surface there."""
+MAX_CORRELATION = 0.45
+"""Correlation of neighbouring beams: 0 for noise alone, up to 0.3 if a fifth of the ranges are surfaces,
+and 0.6 for surfaces that a noisy lidar sees."""
 
 
 def check_noise(e: Evidence) -> list[Finding]:
@@ -47,6 +51,7 @@ def check_noise(e: Evidence) -> list[Finding]:
         next_to_it = (below > width) & (below <= 2.0 * width)
     is_peak = near.sum() > MIN_EXCESS * next_to_it.sum()
     is_noise = is_peak and _is_balanced(int(near.sum()), int(past.sum()))
+    is_noise = is_noise and _is_independent(sample.ranges, near | past)
     if not is_noise or not _is_frequent(near, sample):
         return []
     share = 100.0 * near.sum() / sample.valid.sum()
@@ -70,6 +75,14 @@ def _width(distances: Array, limit: float) -> float:
 
 def _is_balanced(below: int, beyond: int) -> bool:
     return abs(beyond / (below + beyond) - 0.5) <= MAX_IMBALANCE
+
+
+def _is_independent(ranges: Array, these: Mask) -> bool:
+    """Return whether some ranges (m, n) of neighbouring beams are independent, as noise is."""
+    deviations = ranges - ranges[these].mean()
+    pairs = these[:, 1:] & these[:, :-1]
+    covariances = deviations[:, 1:][pairs] * deviations[:, :-1][pairs]
+    return bool(covariances.sum() <= MAX_CORRELATION * ranges[these].var() * pairs.sum())
 
 
 def check_value(e: Evidence) -> list[Finding]:

@@ -111,6 +111,19 @@ def test_a_log_without_odometry_has_none(imp, write) -> None:
     assert re.search(r"^odometry +none$", said, re.MULTILINE)
 
 
+@pytest.mark.parametrize("scans", [[], [scan(5.0)]])
+def test_odometry_without_scans_has_the_length_of_its_path(imp, write, scans) -> None:
+    """Three circles of 1 m radius end where they began."""
+    turns = np.linspace(0.0, 6.0 * np.pi, 301)
+    poses = [np.array([np.sin(a), 1.0 - np.cos(a), a]) for a in turns]
+    log = write([*scans, *(OdometryPose(0.1 * k, pose) for k, pose in enumerate(poses))])
+    fit = "--set", "odometry.kind=odometry_pose"
+    assert "odometry_pose, 18.85 m, 1080 deg of turns" in imp("inspect", log, *fit).out
+    told = json.loads(imp("inspect", log, *fit, "--json").out)["odometry"]
+    assert told["way_m"] == pytest.approx(6.0 * np.pi, rel=1e-3)
+    assert told["turns_rad"] == pytest.approx(6.0 * np.pi)
+
+
 def test_a_log_of_detections_needs_no_scan(imp, tmp_path) -> None:
     said = imp("inspect", write_acfr_park(tmp_path / "park"))
     words = " ".join(said.out.split())

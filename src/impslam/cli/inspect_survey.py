@@ -8,12 +8,13 @@ import numpy as np
 
 from impslam.calibration.recording import lidars_of
 from impslam.cli.inspect_statistics import MIN_BEAMS, ScanGeometry, StampStatistics
-from impslam.columns import Motions, Sweeps, log_order
+from impslam.columns import Batch, Motions, Sweeps, log_order
 from impslam.component import find
 from impslam.config import Config
 from impslam.diagnosis.diagnose import SCANS, diagnose
 from impslam.diagnosis.finding import Finding
 from impslam.diagnosis.head import Head
+from impslam.odometry.stream import OdometryStream
 from impslam.odometry.stream_clocks import UNUSABLE
 from impslam.sources.base import Problems, Source
 from impslam.types import Array, LaserScan, Message
@@ -29,7 +30,8 @@ class Survey:
     ----------
     clocks : statistics of the stamps by message type, and by stream for each of several lidars
     beams : statistics of the scans by lidar; by "" if the config has none
-    distance, rotation : sums of the odometry's motions from scan to scan, m and rad
+    distance, rotation : sums of the odometry's motions from scan to scan, m and rad; from reading to
+        reading if there are no two scans
     problems, unused : problems with the log as a whole, and with rows that mapping would not use
     findings : where the data contradict the config
     """
@@ -43,7 +45,8 @@ class Survey:
         self.clocks: dict[str, StampStatistics] = {}
         self.beams: dict[str, ScanGeometry] = {}
         self.distance = self.rotation = 0.0
-        self._scans, self._before = 0, list[Array]()  # the motion before the first scan
+        self._readings = OdometryStream(self._robot.odometry)
+        self._scans, self._by_scans, self._by_readings = 0, np.zeros(2), np.zeros(2)
         self.problems = Problems()
 
     def read(self, source: Source) -> Iterator[float]:
@@ -51,12 +54,13 @@ class Survey:
         for batch in self._robot.streams.read(source):
             self._head.add(batch)
             self._add_motions(self._robot.sense(batch))
+            self._add_readings(batch)
             for stream, message in log_order(batch):
                 self._add(stream, message)
                 yield message.stamp
         self._add_motions(self._robot.flush())
-        if self._scans < 2:  # no path: all motion
-            self._add_steps(np.vstack((*self._before, self._robot.ahead().d_pose)))
+        is_path = self._scans > 1
+        self.distance, self.rotation = (self._by_scans if is_path else self._by_readings).tolist()
         self._check_log(source.unknown_odometry())
         self.findings = diagnose(self._config, self._head.batches, source.defaults())
 
@@ -94,15 +98,14 @@ class Survey:
     def _add_motions(self, sensed: Iterable[tuple[Motions, Sweeps]]) -> None:
         """Add the motions from scan to scan, as in the path of a run; jitter in between is not counted."""
         for motions, _ in sensed:
-            steps = motions.d_pose
-            if not self._scans:
-                self._before, steps = [steps[:1]], steps[1:]
+            self._by_scans += _sums(motions.d_pose[0 if self._scans else 1 :])
             self._scans += len(motions.d_pose)
-            self._add_steps(steps)
 
-    def _add_steps(self, steps: Array) -> None:
-        self.distance += float(np.hypot(steps[:, 0], steps[:, 1]).sum())
-        self.rotation += float(np.abs(steps[:, 2]).sum())
+    def _add_readings(self, batch: Batch) -> None:
+        """Add the motions from reading to reading, while there may be no path."""
+        rows = batch.get(self._robot.streams.odometry.stream)
+        if rows is not None and self._scans < 2:
+            self._by_readings += _sums(self._readings.motions(rows).motions.d_pose)
 
     def _check_log(self, unknown_odometry: str) -> None:
         """Record problems of the log as a whole."""
@@ -162,3 +165,9 @@ class Survey:
                 f"{motion.first:.3f} to {motion.last:.3f} s: align them with "
                 f"--set sensors.{name}.latency={scans.first - motion.first:.3f}",
             )
+
+
+def _sums(steps: Array) -> Array:
+    """Return the sums (2,) m, rad of the distances and turns of steps (m, 3) that are not NaN."""
+    distances, turns = np.hypot(steps[:, 0], steps[:, 1]), np.abs(steps[:, 2])
+    return np.array([np.nansum(distances), np.nansum(turns)])

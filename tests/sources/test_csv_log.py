@@ -133,6 +133,8 @@ def test_what_rostopic_echo_writes(tmp_path: Path) -> None:
         "angle_min",
         "angle_max",
         "angle_increment",
+        "time_increment",
+        "scan_time",
         "range_min",
         "range_max",
         "ranges0",
@@ -140,9 +142,15 @@ def test_what_rostopic_echo_writes(tmp_path: Path) -> None:
     ]
     header = ["%time", "field.header.seq", "field.header.stamp", "field.header.frame_id"]
     header += [f"field.{name}" for name in [*names, "ranges2"]]
-    row = ["1700000000500000000", "7", "1700000000250000000", "laser", "-1", "0", "0.5", "0.1", "8"]
-    (scan,) = messages(tmp_path, ",".join(header), ",".join([*row, "1", "2", "inf"]))
+    row = ["1700000000500000000", "7", "1700000000250000000", "laser", "-1", "0", "0.5", "0.02"]
+    row += ["0.1", "0.1", "8", "1", "2", "inf"]
+    without = ["nan" if k == 7 else cell for k, cell in enumerate(row)]
+    found, source = read(log(tmp_path, *map(",".join, (header, row, without))))
+    assert source.problems.counts == {"malformed row": 1}
+    assert "time_increment is not finite" in source.problems.examples["malformed row"]
+    (scan,) = found
     assert isinstance(scan, LaserScan)
+    np.testing.assert_array_equal(scan.time_offsets, [0.0, 0.02, 0.04])
     assert scan.stamp == 1700000000.25
     np.testing.assert_array_equal(scan.angles, [-1.0, -0.5, 0.0])
     np.testing.assert_array_equal(scan.ranges, [1.0, 2.0, math.inf])
@@ -256,15 +264,16 @@ def test_nanoseconds_do_not_belong_to_a_stamp_with_a_fraction(tmp_path: Path) ->
 
 
 def test_what_ros2_topic_echo_writes(tmp_path: Path) -> None:
-    rows = [f"{k},500000000,laser,-1,1,1,0,0.1,0.2,8.0,4,5,6" for k in range(3)]
+    rows = [f"{k},500000000,laser,-1,1,1,0.02,0.1,0.2,8.0,4,5,6" for k in range(3)]
     given = dict(
-        zip(("stamp", "nanosec", "angle_min", "angle_step", "range_max"), "12460", strict=True)
+        zip(("stamp", "nanosec", "angle_min", "angle_step", "time_step"), "12467", strict=True)
     )
     given |= {"range_max": "10", "ranges": "11:13"}
     scan = messages(tmp_path, *rows, columns=given)[-1]
     assert isinstance(scan, LaserScan)
     assert (scan.stamp, scan.range_max) == (2.5, 8.0)
     np.testing.assert_array_equal(scan.angles, [-1.0, 0.0, 1.0])
+    np.testing.assert_array_equal(scan.time_offsets, [0.0, 0.02, 0.04])
 
 
 def test_units_in_brackets(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from impslam.types import Array
 
 Role: TypeAlias = Literal[
     "stamp", "nanosec", "x", "y", "theta", "qx", "qy", "qz", "qw", "left", "right", "speed", "turn_rate",
-    "ranges", "angle_min", "angle_step", "range_min", "range_max",
+    "ranges", "angle_min", "angle_step", "time_step", "range_min", "range_max",
 ]  # fmt: skip
 
 NAMES: dict[Role, tuple[str, ...]] = {
@@ -31,6 +31,7 @@ NAMES: dict[Role, tuple[str, ...]] = {
     "turn_rate": ("turn_rate", "omega", "twist.angular.z"),
     "angle_min": ("angle_min",),
     "angle_step": ("angle_step", "angle_increment"),
+    "time_step": ("time_step", "time_increment"),
     "range_min": ("range_min",),
     "range_max": ("range_max",),
 }

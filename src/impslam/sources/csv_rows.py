@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from impslam.sources.csv_cells import CsvCells
-from impslam.sources.csv_columns import STAMP_PAIR, CsvLayout
+from impslam.sources.csv_columns import STAMP_PAIR, CsvLayout, Role
 from impslam.sources.text import beam_angles, beam_times, check_finite
 from impslam.sources.transforms import yaw_of
 from impslam.types import (
@@ -23,6 +23,7 @@ from impslam.types import (
 
 EPOCHS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))
 """Stamps above which the unit is ns, us or ms since 1970; in s, 1e11 would be the year 5138."""
+LIMITS: tuple[Role, Role] = ("range_min", "range_max")
 
 
 def stamp_of(values: Array, found: CsvLayout) -> float:
@@ -73,11 +74,16 @@ def scan(values: Array, found: CsvLayout, stamp: float) -> Iterator[LaserScan]:
         start, step = (_value(values, found.cells[role]) for role in ("angle_min", "angle_step"))
         check_finite("angle_min or angle_step", start, step)
         angles = beam_angles(len(ranges), start, step)
-    low, high = (
-        _value(values, found.cells[role]) if role in found.cells else math.nan
-        for role in ("range_min", "range_max")
-    )
-    yield LaserScan(stamp, angles, ranges, beam_times(len(ranges)), *range_limits(low, high))
+    wait = _value_or(0.0, "time_step", values, found)
+    check_finite("time_increment", wait)
+    low, high = (_value_or(math.nan, role, values, found) for role in LIMITS)
+    times = beam_times(len(ranges), wait)
+    yield LaserScan(stamp, angles, ranges, times, *range_limits(low, high))
+
+
+def _value_or(missing: float, role: Role, values: Array, found: CsvLayout) -> float:
+    """Return the value of a role in a row, or another one without such a column."""
+    return _value(values, found.cells[role]) if role in found.cells else missing
 
 
 def _value(values: Array, cells: CsvCells) -> float:

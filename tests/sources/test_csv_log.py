@@ -233,9 +233,54 @@ def test_quoted_cells_and_row_numbers_of_data_frames(tmp_path: Path) -> None:
     np.testing.assert_array_equal(scan.ranges, [4.0, 5.0, 6.0])  # type: ignore[attr-defined]
 
 
+@pytest.mark.parametrize("mark", [",", ";", "\t"])
+@pytest.mark.parametrize("header", ["t,x,note,y,theta,-90,0,90", None])
+def test_quotes_enclose_what_separates_cells(tmp_path: Path, header: str | None, mark: str) -> None:
+    row = '1.5,1,"ok@ ""fast""@ 2","2",0.5,4,,inf'.replace(",", mark).replace("@", mark)
+    roles = {"stamp": "1", "x": "2", "y": "4", "theta": "5", "ranges": "6:8"}
+    others = {} if header else {"columns": roles, **STEPS}
+    lines = [header.replace(",", mark)] if header else []
+    pose, scan, *_ = messages(tmp_path, *lines, row, row, **others)
+    np.testing.assert_array_equal(pose.pose, [1.0, 2.0, 0.5])  # type: ignore[attr-defined]
+    np.testing.assert_array_equal(scan.ranges, [4.0, math.nan, math.inf])  # type: ignore[attr-defined]
+
+
+def test_a_decimal_comma_in_quotes_is_no_number_where_commas_separate(tmp_path: Path) -> None:
+    """It may also separate thousands."""
+    lines = ["t,x,y,theta,-90,0,90", ROW, '2.0,"1,250",2,0.5,4,5,6']
+    found, source = read(log(tmp_path, *lines))
+    assert [m.stamp for m in found] == [1.0, 1.0]
+    assert "'1,250' is not a number" in source.problems.examples["malformed row"]
+
+
+@pytest.mark.parametrize("mark", [",", ";"])
+@pytest.mark.parametrize("ends", ["[]", "()"])
+def test_all_ranges_in_one_cell(tmp_path: Path, mark: str, ends: str) -> None:
+    """As Python programs write ROS messages; their dates have slashes."""
+    header = "time,header,angle_min,angle_increment,range_max,.ranges,.intensities"
+    row = '2024/05/01 10:00:00.250000123;"{\'secs\': 7, \'nsecs\': 5}";-1;0.5;8;"@";"@"'
+    for ranges in ("1.25, 2.5, inf", "1.25, 2.5"):
+        row = row.replace("@", f"{ends[0]}{ranges}{ends[1]}", 1)
+    lines = [row, row.replace("1.25, 2.5, inf", "1.25, 2.5")]
+    found, source = read(
+        log(tmp_path, header.replace(",", mark), *(line.replace(";", mark) for line in lines))
+    )
+    (scan,) = found
+    assert isinstance(scan, LaserScan)
+    assert scan.stamp == 1714557600.25
+    np.testing.assert_array_equal(scan.ranges, [1.25, 2.5, math.inf])
+    np.testing.assert_array_equal(scan.angles, [-1.0, -0.5, 0.0])
+    assert "9 cells instead of 10" in source.problems.examples["malformed row"]
+
+
 @pytest.mark.parametrize(
     "stamp",
-    ["2024-05-01T10:00:00.25", "2024-05-01 10:00:00.250000", "2024-05-01T12:00:00.25+02:00"],
+    [
+        "2024-05-01T10:00:00.25",
+        "2024-05-01 10:00:00.250000",
+        "2024-05-01T12:00:00.25+02:00",
+        "2024/05/01/10:00:00.250000",
+    ],
 )
 @pytest.mark.parametrize("has_header", [True, False])
 def test_stamps_that_are_dates(tmp_path: Path, stamp: str, has_header: bool) -> None:
@@ -426,6 +471,7 @@ def test_columns_that_may_be_odometry_are_named(tmp_path: Path, names: str) -> N
     [
         "t,x,y,theta,0,1,2",
         "t,intensity0,intensity1,intensity2,0,1,2",
+        ".header.seq,time,angle_max,scan_time,0,1,2",
         "%time,field.header.seq,0,1,2,3,4",
     ],
 )

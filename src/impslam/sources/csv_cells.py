@@ -18,8 +18,8 @@ UNITS = {
     "m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "rad/s": 1.0, "deg/s": math.pi / 180.0,
 }  # fmt: skip
 MIN_BEAMS = 3  # minimum number of consecutively numbered columns to recognise them as beams
-EXTRAS = ("covariance", "intensit")
-"""Parts of the names of other columns, often numbered ones, in what `rostopic echo` writes."""
+EXTRAS = ("covariance", "intensit", "header", "angle_max", "scan_time")
+"""Parts of the names of other columns, often numbered ones, in what programs write of ROS messages."""
 
 
 class CsvCells(NamedTuple):

@@ -1,6 +1,8 @@
 """The text of a CSV file: what separates its cells, where its rows begin, and cells as numbers.
 
-Spreadsheets of many countries write semicolons between cells and decimal commas, and quotes around cells.
+Spreadsheets of many countries write semicolons between cells and decimal commas. Quotes around a cell may
+enclose what separates cells (RFC 4180). A cell may be a list, as all ranges of a scan in what Python
+programs write of ROS messages; it is read as a cell for each number.
 """
 
 from __future__ import annotations
@@ -21,6 +23,7 @@ SEPARATORS = (b",", b";", b"\t", b"|")
 BOM = b"\xef\xbb\xbf"
 MAX_OPENING = 50  # lines in which the header and two rows are looked for, more than any preamble
 MIN_COLUMNS = 4  # a stamp and three ranges
+_ENCLOSED = b"\0"  # stands for what separates cells, but within quotes; no text has it
 
 
 class Opening(NamedTuple):
@@ -61,7 +64,9 @@ def opening(path: Path) -> Opening:
         width = len(rows[found[0]])
         found = [*[k for k in range(found[0]) if len(rows[k]) == width][:1], *found]
     second = rows[found[1]] if len(found) > 1 else []
-    first, has_header = _unquoted(lines[found[0]]).split(mark), not _is_row(rows[found[0]])
+    first, has_header = rows[found[0]], not _is_row(rows[found[0]])
+    if has_header:
+        first = _names([_cells(lines[k], mark) for k in found[:2]])
     return Opening(first, second, has_header, found[0] + 1 + has_header, mark)
 
 
@@ -77,13 +82,45 @@ def trim(line: bytes) -> bytes:
 
 
 def split(text: bytes, mark: bytes) -> list[bytes]:
-    """Return the cells of a row without quotes; a comma that separates none is a decimal point."""
-    text = _unquoted(text)
-    return (text if mark == b"," else text.replace(b",", b".")).split(mark)
+    """Return the cells of a row without quotes, and those of lists.
+
+    A comma that separates nothing is a decimal point.
+    """
+    if b"[" in text or b"(" in text:
+        return [cell for whole in _cells(text, mark) for cell in _unlisted(whole, mark)]
+    return _cells(text if mark == b"," else text.replace(b",", b"."), mark)
 
 
-def _unquoted(text: bytes) -> bytes:
-    return text.replace(b'"', b"") if b'"' in text else text
+def _unlisted(cell: bytes, mark: bytes) -> list[bytes]:
+    """Return the numbers of a list, or a cell that is none."""
+    text = cell.strip()
+    if (text[:1], text[-1:]) in ((b"[", b"]"), (b"(", b")")):
+        return text[1:-1].split(b",")
+    return [cell if mark == b"," else cell.replace(b",", b".")]
+
+
+def _cells(text: bytes, mark: bytes) -> list[bytes]:
+    """Return the cells of a line without quotes."""
+    if b'"' not in text:
+        return text.split(mark)
+    parts = text.split(b'"')
+    if mark not in b"".join(parts[1::2]):
+        return b"".join(parts).split(mark)
+    parts[1::2] = [part.replace(mark, _ENCLOSED) for part in parts[1::2]]
+    return [cell.replace(_ENCLOSED, mark) for cell in b"".join(parts).split(mark)]
+
+
+def _names(lines: Sequence[list[bytes]]) -> list[bytes]:
+    """Return the cells of a header, with one for each number of a list in the row after it."""
+    header, row = lines[0], lines[-1]
+    if len(row) != len(header):
+        return header
+    counts = [len(_unlisted(cell, b",")) for cell in row]
+    return [
+        name + b"%d" % k if count > 1 else name
+        for name, count in zip(header, counts, strict=True)
+        for k in range(count)
+    ]
 
 
 def _separator(lines: Sequence[bytes]) -> bytes:
@@ -129,14 +166,17 @@ def numbers(cells: Sequence[bytes], used: Sequence[int], width: int) -> Array:
 
 
 def _number(cell: bytes) -> float:
-    """Return a cell as a number: s since 1970 for a date with a time (ISO 8601), in UTC by default."""
+    """Return a cell as a number: s since 1970 for a date with a time, in UTC by default.
+
+    The date is as in ISO 8601, or with slashes.
+    """
     text = cell.decode("utf-8", "replace").strip()
     try:
         return float(text or "nan")
     except ValueError:
         pass
     try:
-        time = datetime.fromisoformat(text)
+        time = datetime.fromisoformat(text.replace("/", "-", 2).replace("/", " "))
     except ValueError:
         raise MessageError(f"{text[:40]!r} is not a number") from None
     return (time if time.tzinfo else time.replace(tzinfo=UTC)).timestamp()

@@ -36,6 +36,11 @@ def test_noiseless_scans_give_the_exact_motion():
     assert found.share > 0.85
 
 
+def test_a_repeated_scan_fits_where_it_was():
+    same = seen(np.zeros(3))
+    np.testing.assert_allclose(align(same, same, np.zeros(3), NOISE).T_a_b, np.zeros(3), atol=1e-6)
+
+
 def test_scans_of_different_places_do_not_match():
     assert align(seen(np.zeros(3)), seen([1.0, 0.5, 2.5]), np.zeros(3), NOISE) is None
 

@@ -209,7 +209,8 @@ def align(a: Surface, b: Surface, guess: Array, noise: tuple[float, float]) -> P
         e, J, _ = _misfit(a, b, pose, max(START_RADIUS * 0.5**k, END_RADIUS), noise)
         if len(e) < MIN_POINTS:
             return None
-        scale = END_SIGMAS * 1.4826 * float(np.median(np.abs(e)))
+        sigma = 1.4826 * float(np.median(np.abs(e)))  # 0 if the lidar repeats a scan
+        scale = END_SIGMAS * max(sigma, math.sqrt(MIN_CHI2))
         WJ = J.T * (1.0 + (e / scale) ** 2) ** -2
         step = np.linalg.lstsq(WJ[:3] @ J[:, :3], -WJ[:3] @ e, rcond=1e-9)[0]
         pose += step

@@ -34,6 +34,7 @@ has failed. LOST: it may be anywhere; the map does not change.
     SLIPPED,
     PUSHED,
     STALLED,
+    JUMPED,
     UNMEASURED,
     OPPOSED,
     SKIPPED,
@@ -50,7 +51,7 @@ has failed. LOST: it may be anywhere; the map does not change.
     ELSEWHERE,
     UNPLACED,
     NOT_FINITE,
-) = range(28)
+) = range(29)
 """The reasons. `OPEN` and `GROWN` come with a distance in m, `MISTIMED` and `SKIPPED` with s, `MISALIGNED`
 with degrees, `INCONSISTENT` with a ratio; `MISSCALED`, `COVERED`, `CHANGED`, `CARRIED`, `UNEXPLAINED` and
 `ELSEWHERE` with a share."""
@@ -67,6 +68,7 @@ _DESCRIPTIONS = (
     "the scans show another motion than odometry; the pose follows the scans",
     "the robot moves, the wheels do not; the pose follows the scans",
     "the wheels turn, the robot does not; the pose follows the scans",
+    "the scans show a jump that the motion before does not explain; the pose follows the scans",
     "odometry is missing, or has just returned; the pose follows the scans",
     "odometry and scans turn in opposite directions: wheels are swapped, or the lidar is mirrored",
     "no data of odometry or of sensors for {0:.0f} s, and the robot has moved; the position is uncertain",

@@ -1,6 +1,7 @@
 """Maps without odometry: the motion is that of the scans, and its covariance that of a match."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from tests.steps import Steps, feed
 from impslam.columns import batches
 from impslam.config import load
 from impslam.errors import SourceError
+from impslam.health import JUMPED, NONE
 from impslam.noise import UNKNOWN
 from impslam.odometry.lidar_only import LidarOnly
 from impslam.run import Run, map_log
@@ -110,6 +112,20 @@ def test_the_pose_between_scans_is_as_uncertain_as_a_short_drive(room):
     rows = run.dead_reckoned()
     assert np.sqrt(np.diag(rows.covariances[0])[:2]).max() < 0.15
     assert run.robot.ahead().covariance[0, 0] == pytest.approx(0.05**2, rel=0.01)
+
+
+def test_a_jump_of_the_scans_is_not_blamed_on_odometry(room, tmp_path):
+    """The scans of 1.5 s are missing, and the later ones are stamped as if no time had passed."""
+    at, seconds = room[0].stamp + 5.0, 1.5
+    scans = [m for m in room if isinstance(m, LaserScan)]
+    later = [replace(m, stamp=m.stamp - seconds) for m in scans if m.stamp >= at + seconds]
+    messages = [m for m in scans if m.stamp < at] + later
+    matching = "tracker.kind=scan_to_map", "estimator.kind=graph"
+    outcome = mapped(messages, tmp_path, *matching).outcome
+    assert set(outcome.health.reasons) == {NONE, JUMPED}
+    assert set(outcome.dropped) == {"motion jumps"}
+    said = outcome.dropped["motion jumps"].example, *(s.description for s in outcome.health.spans())
+    assert not any("odometry" in text or "wheels" in text for text in said)
 
 
 # --------------------------------------------------------------------------- without being asked

@@ -18,18 +18,31 @@ from impslam.component import Component, parameter
 from impslam.geometry.algebra import rotate_covariance
 from impslam.geometry.chain import advance, advance_pose
 from impslam.geometry.kernels import kernel
-from impslam.health import CARRIED, ELSEWHERE, OPPOSED, SLIPPED, STALLED, UNMEASURED, Reasons
+from impslam.health import (
+    CARRIED,
+    ELSEWHERE,
+    JUMPED,
+    OPPOSED,
+    SLIPPED,
+    STALLED,
+    UNMEASURED,
+    Reasons,
+)
 from impslam.map import Keyframe, Track
 from impslam.noise import SystematicErrors
 from impslam.parameters import Parameters
 from impslam.sources.base import Problems
 from impslam.tracking.screening import Screening
-from impslam.tracking.self_deskewing import with_stamps, writable
+from impslam.tracking.self_deskewing import unknown, with_stamps, writable
 from impslam.types import Array, ErrorEstimate, Increment, Mask, SystematicPart
 
 _CONTRADICTED = (
     "the scan at {:.3f} s shows another motion than odometry; the pose follows the scans: check "
     "encoders and wheels, or the parameters of odometry"
+)
+_JUMPED = (
+    "the scan at {:.3f} s shows a jump that the motion before does not explain; the pose follows the "
+    "scans: check whether the robot was hit or moved, or scans before it are missing"
 )
 _OPPOSED = (
     "up to the scan at {:.3f} s odometry and scans turn in opposite directions: check that the wheels are "
@@ -211,10 +224,12 @@ class Tracker(Component):
         sweeps = writable(motions, sweeps)
         steps = self.steps(motions, sweeps, Gate(self._limits, travelled))
         steps.reasons[_contradicted(steps.reasons) & unmeasured] = UNMEASURED
+        steps.reasons[_contradicted(steps.reasons) & unknown(motions.covariance)] = JUMPED
         worse = wrong > steps.reasons
         steps.reasons[worse], steps.amounts[worse] = wrong[worse], amounts[worse]
         self._note("turns against scans", _OPPOSED, sweeps, steps.reasons == OPPOSED)
         self._note("odometry against scans", _CONTRADICTED, sweeps, _contradicted(steps.reasons))
+        self._note("motion jumps", _JUMPED, sweeps, steps.reasons == JUMPED)
         self._note("robot carried", _CARRIED, sweeps, steps.reasons == CARRIED)
         none_due = np.zeros(len(sweeps), np.bool_)
         for name, others in self._travelled.items():  # sensors see different things

@@ -2,6 +2,7 @@
 
 import gzip
 import shutil
+import subprocess
 import tracemalloc
 from pathlib import Path
 
@@ -117,6 +118,34 @@ def test_a_packed_bag_is_explained(tmp_path: Path) -> None:
         SourceError, match=r"it is packed; unpack it first: gunzip -k .*/log\.bag\.gz$"
     ):
         recognise(log)
+
+
+@pytest.mark.parametrize(
+    ("name", "command"),
+    [
+        ("log.rawlog", "gunzip -c {0}.rawlog > {0}.rawlog.unpacked"),
+        ("log", "gunzip -c {0} > {0}.unpacked"),
+        ("log.gz", "gunzip -k {0}.gz"),
+    ],
+)
+def test_the_command_that_unpacks_a_file_works(tmp_path: Path, name: str, command: str) -> None:
+    (log := tmp_path / name).write_bytes(gzip.compress(b"#ROSBAG V2.0\n" + bytes(100)))
+    with pytest.raises(SourceError) as error:
+        recognise(log)
+    said = str(error.value).partition("unpack it first: ")[2]
+    assert said == command.format(tmp_path / "log")
+    subprocess.run(said, shell=True, check=True, cwd=tmp_path)
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+@pytest.mark.parametrize("packed", [False, True])
+@pytest.mark.parametrize("kind", [b"\x8dCSensoryFrame\x02\x01", b"\x91CActionCollection\x00"])
+def test_a_binary_rawlog_is_explained(tmp_path: Path, kind: bytes, packed: bool) -> None:
+    content = kind + bytes(500)
+    (log := tmp_path / "log.rawlog").write_bytes(gzip.compress(content) if packed else content)
+    with pytest.raises(SourceError, match="a binary rawlog of MRPT: export it with raw") as error:
+        recognise(log)
+    assert "packed" not in str(error.value)
 
 
 def test_a_bag_of_an_early_version_is_explained(tmp_path: Path) -> None:

@@ -249,14 +249,14 @@ class Source(Component):
 
 
 _PACKED = {
-    b"\x1f\x8b": "gunzip -k",
-    b"BZh": "bunzip2 -k",
-    b"\xfd7zXZ": "unxz -k",
-    b"\x28\xb5\x2f\xfd": "unzstd",
-    b"PK\x03\x04": "unzip",
-    b"7z\xbc\xaf": "7z x",
+    b"\x1f\x8b": ("gunzip", ".gz"),
+    b"BZh": ("bunzip2", ".bz2"),
+    b"\xfd7zXZ": ("unxz", ".xz"),
+    b"\x28\xb5\x2f\xfd": ("unzstd", ".zst"),
+    b"PK\x03\x04": ("unzip", ""),
+    b"7z\xbc\xaf": ("7z x", ""),
 }
-"""Commands that unpack files, by their first bytes."""
+"""Commands that unpack files, by their first bytes; with the suffix that each requires, or "" if none."""
 
 
 def recognise(path: Path) -> type[Source]:
@@ -282,7 +282,7 @@ def recognise(path: Path) -> type[Source]:
         reasons.append(cls.explain_refusal(path))
     if path.is_dir() and (content := explain_folder(path, _is_log)):
         raise SourceError(f"{path}: is not a log; {content}")
-    if path.is_file():
+    if path.is_file() and not any(reasons):
         reasons.append(_explain_start(path))
     known = ", ".join(names("source"))
     text = f"{path}: no known log format; readable are {known} (see `imp list`)"
@@ -312,5 +312,12 @@ def _explain_start(path: Path) -> str:
         start = file.read(16)
     if not any(start):
         return "it begins with zeros: writing was interrupted, or the disk lost the data"
-    packed = next((command for magic, command in _PACKED.items() if start.startswith(magic)), "")
-    return packed and f"it is packed; unpack it first: {packed} {path}"
+    found = next((how for magic, how in _PACKED.items() if start.startswith(magic)), None)
+    return f"it is packed; unpack it first: {_unpacking(*found, path)}" if found else ""
+
+
+def _unpacking(command: str, suffix: str, path: Path) -> str:
+    """Return the line that unpacks a file; some commands refuse other suffixes than their own."""
+    if suffix and path.suffix != suffix:
+        return f"{command} -c {path} > {path}.unpacked"
+    return f"{command} -k {path}" if suffix else f"{command} {path}"

@@ -24,13 +24,16 @@ from impslam.errors import MessageError
 from impslam.geometry.se2 import compose
 from impslam.sources.base import Stream
 from impslam.sources.parts import LocatedMessage
-from impslam.sources.text import TextSource, check_finite, head, numbers
+from impslam.sources.text import DAMAGE, TextSource, check_finite, head, numbers, open_text
 from impslam.types import Array, Detections, OdometryPose, TrueLandmark, TruePose
 
 _MIN_INCREMENT_WORDS = 5  # of an ODOINC: name, t, dx, dy, dphi
 _HEAD_WORDS = 6  # of a BR before its first detection
 _MAX_INCREMENT = 1e6  # m and rad, beyond any step of a robot
 _DETECTION_WORDS = 4  # id, range, yaw, pitch
+_OBJECTS = b"CSensoryFrame", b"CObservation", b"CActionCollection"
+"""Names of the objects that a rawlog contains."""
+_START = 256  # bytes that contain the first of them
 
 
 @register("mrpt_text")
@@ -44,6 +47,18 @@ class MrptText(TextSource):
         """Recognise the format by the first lines, without comments."""
         lines = [line for line in head(path) if not line.startswith(b"#")][:4]
         return any(_plausible(line.split()) for line in lines)
+
+    @classmethod
+    def explain_refusal(cls, path: Path) -> str:
+        """Say how to export a rawlog, which is binary."""
+        start = _start(path)
+        if not any(name in start for name in _OBJECTS):
+            return ""
+        return (
+            "it is a binary rawlog of MRPT: export it with rawlog-edit --export-2d-scans-txt and "
+            "--export-odometry-txt and write the result as CSV, or write landmarks as lines ODOINC and BR "
+            "(docs/formats.md)"
+        )
 
     def _messages(self) -> Iterator[LocatedMessage]:
         stamp, pose = 0.0, np.zeros(3)
@@ -180,3 +195,12 @@ def _detections(stamp: float, tokens: list[bytes]) -> Detections:
 
 
 _MAX_ID = 2.0**53  # beyond it, float64 cannot represent all integers
+
+
+def _start(path: Path) -> bytes:
+    """Return the first bytes of a file, plain or gzipped; none of a folder or a damaged file."""
+    try:
+        with open_text(path) as (_, text):
+            return text.read(_START)
+    except DAMAGE:
+        return b""

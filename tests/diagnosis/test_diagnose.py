@@ -1,6 +1,7 @@
 """Diagnosis of a drive through the arena with one fault: it finds only that, and its settings fix it."""
 
 import functools
+import itertools
 import math
 import re
 from collections.abc import Callable, Iterable
@@ -12,10 +13,10 @@ from tests import log_faults as faults
 
 from impslam.calibration.lidar_path import determines_pose, unmounted
 from impslam.calibration.recording import record_batches
-from impslam.columns import Batch, Columns, batches
+from impslam.columns import Batch, Columns, batches, log_order
 from impslam.config import load
 from impslam.diagnosis.agreement import drive_axis, fit_agreement
-from impslam.diagnosis.beam_samples import BeamSamples
+from impslam.diagnosis.beam_samples import MAX_SCANS, BeamSamples
 from impslam.diagnosis.diagnose import diagnose
 from impslam.diagnosis.evidence import gather_evidence
 from impslam.diagnosis.field_of_view import _beside
@@ -493,6 +494,19 @@ def test_noise_of_no_return_is_all_that_is_found_while_the_robot_stands(
     assert name == "sensors.lidar.range_max"
     assert 0.5 * limit < float(value) < limit - 5.0 * sigma
     assert found(wrong, MATCHED, fix) == []
+
+
+def test_beams_are_checked_if_their_times_differ_from_scan_to_scan(drive) -> None:
+    """As those of drivers that measure each revolution."""
+    factors = itertools.cycle([0.98, 1.0, 1.02])
+
+    def change(c: Columns) -> Columns:
+        with_more = faults.with_values(c, intensities=np.ones_like(c["ranges"]))
+        return faults.with_layout(with_more, time_offsets=next(factors) * c["time_offsets"])
+
+    single = [batch for whole in drive for batch in batches(log_order(whole), 1)]
+    wrong = faults.faulty(single, faults.of(LaserScan, change))
+    assert len(evidence(wrong).samples.ranges) == MAX_SCANS
 
 
 @pytest.mark.parametrize(("corners", "reach"), [(4, 4.2), (6, 3.63)])

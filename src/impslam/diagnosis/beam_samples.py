@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -31,13 +32,31 @@ class BeamSamples(NamedTuple):
 
 
 def beam_samples(lidar: Lidar2D, scans: Sequence[Columns], path: LidarPath) -> BeamSamples | None:
-    """Return scans evenly spread over the longest piece of one layout; None if there are too few."""
-    lengths = [len(piece) for piece in scans]
-    if max(lengths, default=0) < MIN_SCANS:
+    """Return scans evenly spread over those of the commonest layout; None if there are too few.
+
+    The times of their beams may differ: some drivers measure each revolution.
+    """
+    layouts, starts = [_layout(piece) for piece in scans], np.cumsum([0, *map(len, scans)])
+    counts = Counter[tuple[bytes, ...]]()
+    for layout, piece in zip(layouts, scans, strict=True):
+        counts[layout] += len(piece)
+    if max(counts.values(), default=0) < MIN_SCANS:
         return None
-    longest = int(np.argmax(lengths))
-    piece, start = scans[longest], sum(lengths[:longest])
-    rows = np.unique(np.linspace(0, len(piece) - 1, min(MAX_SCANS, len(piece))).astype(np.int64))
-    piece, headings = piece.take(rows), path.poses[start + rows, 2]
+    ((commonest, count),) = counts.most_common(1)
+    alike = [k for k, layout in enumerate(layouts) if layout == commonest]
+    some = np.unique(np.linspace(0, count - 1, min(MAX_SCANS, count)).astype(np.int64))
+    rows = np.concatenate([np.arange(starts[k], starts[k + 1]) for k in alike])[some]
+    first = scans[alike[0]]
+    columns = {name: np.concatenate([scans[k][name] for k in alike])[some] for name in first.values}
+    piece = Columns(first.stream, first.kind, rows, columns, first.layout)
     seen = unmounted(lidar).sweeps(piece, np.zeros((len(rows), 3)))
-    return BeamSamples(piece["ranges"], seen.valid, piece["angles"], headings, seen.range_max)
+    return BeamSamples(
+        piece["ranges"], seen.valid, piece["angles"], path.poses[rows, 2], seen.range_max
+    )
+
+
+def _layout(scans: Columns) -> tuple[bytes, ...]:
+    """Return what scans with the same columns, beams and limits share."""
+    names = "angles", "range_min", "range_max"
+    shared = (np.asarray(scans[name], np.float64).tobytes() for name in names)
+    return (" ".join(scans.values).encode(), *shared)

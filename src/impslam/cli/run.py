@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
@@ -73,7 +73,7 @@ class ContinuationOptions:
 
     map: Path | None = None
     frozen: Flag = False
-    start: str | None = None
+    start: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None  # -1,2
 
     def known(self, *, live: bool, outputs: Sequence[Path]) -> KnownMap | None:
         """Return the map to continue, or None.

@@ -76,7 +76,7 @@ def test_reading_a_longer_log_takes_no_more_memory(write, given, tmp_path):
 
 NO_KEYFRAMES = [
     "tracker.kind=odometry", "estimator.kind=landmarks",
-    "keyframes.distance=50", "keyframes.angle=30", "keyframes.seconds=10000",
+    "keyframes.distance=50", "keyframes.angle=inf", "keyframes.seconds=10000",
 ]  # fmt: skip
 
 

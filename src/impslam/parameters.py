@@ -24,7 +24,7 @@ from pydantic_core import InitErrorDetails, PydanticCustomError
 
 SIZES: dict[str, tuple[float, float]] = {
     "m": (1e-9, 1e6),  # some atoms; more than any planar map
-    "rad": (1e-9, 1e3),
+    "rad": (1e-9, 6.3),  # a full turn; more is an angle in degrees
     "s": (1e-6, 1e10),  # up to the offset between a Unix clock and one that starts at 0
     "m/s": (1e-3, 1e3),
     "rad/s": (1e-3, 1e3),
@@ -70,8 +70,8 @@ class Parameters(BaseModel):
         if not isinstance(extra, dict):
             return value  # not a parameter
         unit, meant = str(extra["unit"]), (repr(field.default), *str(extra["special"]).split())
-        low, high = SIZES.get(unit.split(",", 1)[0], ANY_SIZE)
-        for number in _numbers(value):
+        for position, number in enumerate(_numbers(value)):
+            low, high = SIZES.get(unit_of(unit, position), ANY_SIZE)
             if isinstance(number, int):
                 if abs(number) >= 1 << 63:
                     raise ValueError("must be a number of at most 18 digits")
@@ -79,8 +79,20 @@ class Parameters(BaseModel):
                 if repr(number) not in meant:
                     raise ValueError("must be a finite number")
             elif number and not low <= abs(number) <= high:
-                raise ValueError(f"must be 0, or {low:g} to {high:g} in size ({unit})")
+                raise ValueError(_wrong_size(unit_of(unit, position), low, high))
         return value
+
+
+def unit_of(units: str, position: int) -> str:
+    """Return the unit of the number at a position of a parameter, e.g. "rad" at 2 of "m, m, rad"."""
+    each = units.split(", ")
+    return each[position % len(each)]  # "m, m" is also that of lists of points
+
+
+def _wrong_size(unit: str, low: float, high: float) -> str:
+    if unit == "rad":
+        return f"must be 0, or {low:g} to {high:g} in size (rad; 180 deg is 3.1416)"
+    return f"must be 0, or {low:g} to {high:g} in size ({unit})"
 
 
 def _simple_kinds(annotation: Any) -> frozenset[Any]:

@@ -57,6 +57,7 @@ def test_a_log_that_is_not_found_in_a_frozen_map_is_an_error(imp, room, done, tm
         (["--map", "MAP", "--start", "1"], "--start 1: not a pose; give x,y"),
         (["--start", "-1,-2"], "give one with --map FILE"),
         (["--start", "-1,2,-0.5"], "give one with --map FILE"),
+        (["--map", "MAP", "--start", "0,0,180"], "theta is in rad; 180 deg is 3.1416"),
         (["--map", "MAP", "--start", "--frozen"], "--start --frozen: not a pose; give x,y"),
         (["--map", "MAP", "--start", "1,nan"], "--start 1,nan: not a pose"),
         (["--map", "MAP", "--live"], "leave out --live or --map"),

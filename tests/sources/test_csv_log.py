@@ -388,8 +388,8 @@ def test_bad_rows_are_counted_and_dropped(tmp_path: Path) -> None:
         ),
         (
             "stamp,a,r0,r1,r2,r3",
-            {"angle_min": 0.0, "angle_step": 90.0},
-            "57 turns; write the angles of beams in rad",
+            {"angle_min": 0.0, "angle_step": 6.0},
+            "4 turns; write the angles of beams in rad",
         ),
         ("stamp,a,0,1,2,3", {"columns": {"x": "ab"}}, "no column 'ab'; did you mean 'a'"),
         ("stamp,a,0,1,2,3", {"columns": {"ranges": "0"}}, "expected ranges=FIRST:LAST"),

@@ -97,12 +97,16 @@ class ContinuationOptions:
 
 def parse_start(text: str) -> list[float]:
     """Return the numbers in "x,y" or "x,y,theta"."""
+    from impslam.parameters import SIZES
+
     try:
         numbers = [float(part) for part in text.split(",")]
     except ValueError:
         numbers = []
     if len(numbers) not in {2, 3} or not all(map(math.isfinite, numbers)):
         raise ConfigError(f"--start {text}: not a pose; give x,y or x,y,theta in m and rad")
+    if any(abs(theta) > SIZES["rad"][1] for theta in numbers[2:]):
+        raise ConfigError(f"--start {text}: theta is in rad; 180 deg is 3.1416")
     return numbers
 
 

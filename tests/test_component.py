@@ -36,6 +36,13 @@ class Nothing(Extractor):
         return []
 
 
+class Needy(Nothing):
+    """Needs a parameter."""
+
+    sizes: float = parameter(..., "m", "how large")
+    place: tuple[float, float] | None = parameter(None, "m", "where")
+
+
 def test_registered_by_name_in_the_role_of_the_base_class():
     register("nothing")(Nothing)
     assert find("extractor", "nothing") is Nothing
@@ -86,6 +93,15 @@ def test_near_miss_lists_all_where_none_is_near():
         ({}, "lacks 'kind'"),
         ("ekf", "expected a table"),
         ({"kind": "nothing", "widht": 1.0}, "mine.widht is not a parameter; did you mean 'width'?"),
+        ({"kind": "needy", "size": 1.0}, "mine.size is not a parameter; did you mean 'sizes'?"),
+        (
+            {"kind": "needy", "sizes": 1.0, "place": "1,2"},
+            "mine.place = '1,2': must be a list of 2 numbers, e.g. [0.1,0.2]",
+        ),
+        (
+            {"kind": "needy", "sizes": 1.0, "place": [1]},
+            "mine.place.1 is missing; give 2 numbers (m; where)",
+        ),
         ({"knd": "x", "kind": "nothing"}, "mine.knd is not a parameter; did you mean 'kind'?"),
         ({"kind": "nothing", "width": -1.0}, "mine.width"),
         ({"kind": "nothing", "width": "broad"}, "mine.width"),
@@ -93,6 +109,7 @@ def test_near_miss_lists_all_where_none_is_near():
 )
 def test_a_wrong_table_is_explained_in_one_line(table, said):
     register("nothing")(Nothing)
+    register("needy")(Needy)
     with pytest.raises(ConfigError) as error:
         build("extractor", table, "mine")
     assert said in one_line(error)

@@ -26,12 +26,13 @@ import zlib
 from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar, get_args
+from types import NoneType
+from typing import Any, ClassVar, TypeVar, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
 from impslam.errors import ConfigError
-from impslam.parameters import Parameters
+from impslam.parameters import Parameters, unit_of
 from impslam.parameters import parameter as parameter  # noqa: PLC0414  # part of this interface
 from impslam.paths import is_file
 
@@ -317,38 +318,93 @@ def _check_complete(cls: type[Component]) -> None:
 
 def explain(error: ValidationError, where: str, known: Any) -> str:
     """Turn a pydantic error into one line: what, where and what to do."""
-    first = error.errors()[0]
+    # A misspelt key comes first: the key that was meant is missing because of it.
+    first = min(error.errors(), key=lambda one: one["type"] != "extra_forbidden")
     path = ".".join(str(part) for part in (where, *first["loc"]) if part != "")
     if first["type"] == "extra_forbidden":
         inner = _fields_within(first["loc"][:-1], known)
         return f"{path} is not a parameter; {near_miss(str(first['loc'][-1]), inner)}"
     if first["type"] == "missing":
         lost = [one["loc"] for one in error.errors() if one["type"] == "missing"]
+        if isinstance(lost[0][-1], int):
+            return f"{path} is missing; {_numbers_of(_field(lost[0], known))}"
         *others, last = (_describe_missing(loc, where, known) for loc in lost)
         rest = f"{', '.join(others)} and {last} are missing; add them"
         return rest if others else f"{last} is missing; add it"
     value = shorten(first.get("input"))
     if first["type"] == "dict_type":
         return f"{path} = {value}: expected a table, e.g. {path}.kind = NAME"
-    return f"{path} = {value}: {_plain(first['type'], first['msg'])}"
+    said = _plain(first["type"], first["msg"], _field(first["loc"], known))
+    return f"{path} = {value}: {said}{_unit_of_bound(first['type'], first['loc'], known)}"
 
 
-def _plain(kind: str, message: str) -> str:
-    """Return pydantic's message on a value in the words of the other messages."""
+def _plain(kind: str, message: str, field: Any) -> str:
+    """Return pydantic's message on a value of a field in the words of the other messages."""
     if kind in _EXPECTED:
         return f"must be {_EXPECTED[kind]}"
+    annotation = getattr(field, "annotation", None)
+    if kind == "model_type":
+        return (
+            f"must be {'none or ' if NoneType in get_args(annotation) else ''}a table of parameters"
+        )
+    if kind == "tuple_type" and (count := _count(annotation)):
+        example = ",".join(f"0.{number + 1}" for number in range(count))
+        return f"must be a list of {count} numbers, e.g. [{example}]"
     for theirs, ours in _WORDING:
         message = message.replace(theirs, ours)
     return message
 
 
+def _count(annotation: Any) -> int:
+    """Return how many numbers a parameter has, e.g. 3 for a pose; 0 if it has no fixed number of them."""
+    kinds = (annotation, *get_args(annotation))  # the second part is for `tuple[...] | None`
+    parts = next((get_args(kind) for kind in kinds if get_origin(kind) is tuple), ())
+    return 0 if Ellipsis in parts else len(parts)
+
+
+def _numbers_of(field: Any) -> str:
+    """Return what to write for a parameter that lacks numbers, with their units and meaning."""
+    count, extra = _count(getattr(field, "annotation", None)), _extra(field)
+    return (
+        f"give {count} numbers ({extra['unit']}; {field.description})"
+        if count and extra
+        else "add it"
+    )
+
+
+def _unit_of_bound(kind: str, loc: Sequence[int | str], known: Any) -> str:
+    """Return the unit of a bound with a blank before it; "" for other errors, or without a unit."""
+    if not kind.startswith(("greater_than", "less_than")):
+        return ""
+    unit = _unit(_field(loc, known), loc)
+    return "" if unit in {"", "1"} else f" {unit}"
+
+
 def _describe_missing(loc: Sequence[int | str], where: str, known: Any) -> str:
     """Return the name of a missing parameter, with its unit and meaning if they are known."""
     path = ".".join(str(part) for part in (where, *loc) if part != "")
-    field = known.get(loc[0]) if isinstance(known, Mapping) and len(loc) == 1 else None
+    field = _field(loc, known)
+    unit = _unit(field, loc)
+    return f"{path} ({unit}, {field.description})" if unit else path
+
+
+def _field(loc: Sequence[int | str], known: Any) -> Any:
+    """Return the field at a place, or the one that contains a number there; None if it is unknown."""
+    names = tuple(part for part in loc if isinstance(part, str))
+    fields = _fields_within(names[:-1], known)
+    return fields.get(names[-1]) if names and isinstance(fields, Mapping) else None
+
+
+def _extra(field: Any) -> dict[str, Any]:
+    """Return what `parameter` stores about a field; nothing for other fields."""
     extra = getattr(field, "json_schema_extra", None)
-    unit = extra.get("unit") if isinstance(extra, dict) else ""
-    return f"{path} ({unit}, {field.description})" if field is not None and unit else path
+    return extra if isinstance(extra, dict) else {}
+
+
+def _unit(field: Any, loc: Sequence[int | str]) -> str:
+    """Return the unit of a field, or of its number at a place such as ("mount", 2); "" without one."""
+    unit = str(_extra(field).get("unit", ""))
+    return unit_of(unit, loc[-1]) if isinstance(loc[-1], int) else unit
 
 
 def shorten(value: object) -> str:

@@ -377,6 +377,7 @@ def _checked(table: Table) -> Config:
     """Return the config of a table; raise if it, or a component that it describes, is faulty."""
     table = without_removed(table)
     _load_plugins(table)
+    _check_no_bare_sensor(table)
     try:
         config = Config(**table)
     except ValidationError as error:
@@ -391,6 +392,16 @@ def _checked(table: Table) -> Config:
     for role in ("association", "lifecycle", "filter"):  # even if the estimator does not use it
         build(role, getattr(config, role))
     return config
+
+
+def _check_no_bare_sensor(table: Table) -> None:
+    """Raise for a table that is named as a sensor, e.g. `lidar` instead of `sensors.lidar`."""
+    sensors = table.get("sensors")
+    for name in table.keys() - Config.model_fields.keys():
+        if isinstance(sensors, Mapping) and name in sensors:
+            part = table[name]
+            key = f"{name}.{next(iter(part))}" if isinstance(part, Mapping) and part else name
+            raise ConfigError(f"{key} is not a parameter; did you mean 'sensors.{key}'?")
 
 
 def load_plugins(base: str | Path = "default", settings: Sequence[str] = ()) -> None:

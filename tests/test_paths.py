@@ -8,7 +8,15 @@ from pathlib import Path
 import pytest
 
 from impslam.errors import ConfigError
-from impslam.paths import is_file, keep_inputs, make_folder, numbered, read_text, replacement
+from impslam.paths import (
+    is_file,
+    keep_inputs,
+    make_folder,
+    numbered,
+    portable,
+    read_text,
+    replacement,
+)
 
 
 def test_names_are_numbered_before_the_suffix(tmp_path: Path) -> None:
@@ -33,6 +41,14 @@ def test_nobody_shares_a_folder(tmp_path: Path) -> None:
     with ThreadPoolExecutor(16) as pool:
         made = list(pool.map(lambda _: make_folder(tmp_path / "runs", "log"), range(64)))
     assert len(set(made)) == 64
+
+
+def test_a_path_in_the_same_tree_is_relative(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert portable(Path("base.toml"), Path()) == "base.toml"
+    assert portable(Path("base.toml"), tmp_path / "out") == "../base.toml"
+    assert portable(tmp_path / "a" / "base.toml", Path("b")) == "../a/base.toml"
+    assert portable(Path("/elsewhere/base.toml"), tmp_path) == str(Path("/elsewhere/base.toml"))
 
 
 def test_a_name_that_cannot_be_one_is_no_file(tmp_path: Path) -> None:

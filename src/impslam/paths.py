@@ -163,6 +163,17 @@ def sync_folder(folder: Path) -> None:
             os.close(handle)
 
 
+def portable(path: Path, folder: Path) -> str:
+    """Return a path for a file in a folder: relative to it, so that both can be copied to a computer.
+
+    It is absolute if the two have no folder in common but the root.
+    """
+    target, start = path.resolve(), folder.resolve()
+    if target.parts[:2] != start.parts[:2]:
+        return str(target)
+    return Path(os.path.relpath(target, start)).as_posix()
+
+
 def is_file(path: Path) -> bool:
     """Return whether the file exists; False for an invalid name (too long, or with NUL)."""
     with suppress(OSError, ValueError):

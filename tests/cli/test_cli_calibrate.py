@@ -62,8 +62,11 @@ BEAMS = 170
 
 def test_files(imp, eight, tmp_path):
     config, numbers = tmp_path / "calibrated.toml", tmp_path / "numbers.json"
-    said = imp("calibrate", eight, *SETTINGS, "-o", config, "--json", numbers)
+    (tmp_path / "mine.toml").write_text('base = "imp"\n')
+    mine = ("-c", tmp_path / "mine.toml")
+    said = imp("calibrate", eight, *SETTINGS, *mine, "-o", config, "--json", numbers)
     assert said.code == 0
+    assert 'base = "mine.toml"' in config.read_text("utf-8"), "both can be copied to the robot"
     words = " ".join(said.out.split())
     assert "parameter unit observable config found std" in words
     assert "track m yes 0.4" in words

@@ -12,10 +12,13 @@ pytest.importorskip("optuna")
 
 def test_a_search_writes_a_config_and_its_evidence(imp, room, tmp_path):
     words = ["tune", room, "--holdout", "room", "--score", "likelihood", "--jobs", 1]
-    words += ["--search", "sensors.lidar.sigma=0.001:0.1", "-c", "imp", "-o", tmp_path / "out"]
+    words += ["--search", "sensors.lidar.sigma=0.001:0.1", "-c", tmp_path / "mine.toml"]
+    words += ["-o", tmp_path / "out"]
+    (tmp_path / "mine.toml").write_text('base = "imp"\n')
     said = imp(*words, "--trials", 3)
     assert said.code == 0, said.err
     config = load(tmp_path / "out" / "tuned.toml")
+    assert 'base = "../mine.toml"' in (tmp_path / "out" / "tuned.toml").read_text("utf-8")
     assert 0.001 <= config.sensors["lidar"]["sigma"] <= 0.1
     assert "room, held out: " in said.out
     with (tmp_path / "out" / "runs.csv").open() as file:

@@ -196,7 +196,7 @@ def test_the_tuned_config_loads_and_contains_its_scores(tmp_path):
         )
     ]
     found = suggest(SPACE, best(study))
-    text = tuned_config(task, found, rows, "best", study)
+    text = tuned_config(task, found, rows, "best", study, tmp_path)
     assert "# room: 0.02 before, 0.01 after" in text
     assert "# arena, held out: 0.04 before, 0.05 after" in text
     (tmp_path / "tuned.toml").write_text(text)

@@ -139,13 +139,14 @@ def _read(
     return configs[0], drives
 
 
-def _base(log: Path, config: str | None) -> str | None:
+def _base(log: Path, config: str | None, output: Path) -> str | None:
     """Return the base of the written config; None if it must contain all parameters."""
     from impslam.config import presets
+    from impslam.paths import portable
     from impslam.sources.base import recognise
 
     if config is not None:
-        return config if config in presets() else str(Path(config).resolve())
+        return config if config in presets() else portable(Path(config), output.parent)
     with recognise(log)(path=log) as source:
         return source.preset if source.preset in presets() else None
 
@@ -160,7 +161,7 @@ def _write(
     from impslam.config import load, merge, parse_setting
 
     config, found, comments = result
-    name = _base(logs[0], base)
+    name = _base(logs[0], base, output)
     initial: dict[str, Any] = config.resolved() if name is None else {"base": name}
     for setting in settings:
         initial = merge(initial, parse_setting(setting))

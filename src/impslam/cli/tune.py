@@ -129,7 +129,7 @@ def _finish(
 
     found = suggest(space, best(study))
     rows = task.compare(found, pool)
-    text = tuned_config(task, found, rows, score, study)
+    text = tuned_config(task, found, rows, score, study, folder)
     write_bytes(folder / CONFIG, text.encode())
     write_bytes(folder / PICTURE, as_png(draw_search(study, list(space))))
     write(folder, rows)

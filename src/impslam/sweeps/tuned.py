@@ -9,14 +9,17 @@ from typing import Any
 import tomli_w
 
 from impslam.config import merge, parse_setting, presets
+from impslam.paths import portable
 from impslam.sweeps.cases import Log, Settings
 from impslam.sweeps.rows import Row
 from impslam.sweeps.task import AFTER, BEFORE, Task
 from impslam.sweeps.tuning import best, finished, score_of
 
 
-def tuned_config(task: Task, found: Settings, rows: Sequence[Row], score: str, study: Any) -> str:
-    """Return the tuned config as TOML, with its scores as comments."""
+def tuned_config(
+    task: Task, found: Settings, rows: Sequence[Row], score: str, study: Any, folder: Path
+) -> str:
+    """Return the tuned config for a file in `folder` as TOML, with its scores as comments."""
     lines = [
         f"# Found by imp tune in {len(finished(study))} trials; score: {score}, lower is better."
     ]
@@ -28,7 +31,7 @@ def tuned_config(task: Task, found: Settings, rows: Sequence[Row], score: str, s
     table: dict[str, Any] = {}
     for setting in [*task.settings, *(f"{key}={value}" for key, value in found)]:
         table = merge(table, parse_setting(setting))
-    base = task.base if task.base in presets() else str(Path(task.base).resolve())
+    base = task.base if task.base in presets() else portable(Path(task.base), folder)
     return "\n".join(lines) + "\n" + tomli_w.dumps({"base": base, **table})
 
 

@@ -97,6 +97,7 @@ def test_a_run_folder_is_scored_against_its_own_truth(imp, tmp_path, monkeypatch
         said.out.split()
     )
     assert "truth aligned with the map by the path's best fit" in said.out
+    assert "poses unaligned, m ATE, m max, m" in " ".join(said.out.split())
 
 
 def test_truth_landmarks_and_relations_together(imp, tmp_path, monkeypatch) -> None:

@@ -17,10 +17,10 @@ from impslam.evaluation.relations import RelationErrors
 from impslam.evaluation.scores import Consistency, KindScore, PathScore
 from impslam.types import Array
 
-ALIGNED = {"fit": "aligned", "start": "at start", "none": "as given"}
+ALIGNED = {"fit": "ATE", "start": "at start", "none": "as given"}
 """Name of the column of errors after alignment."""
 NOTES = {
-    "fit": "aligned: after the rigid motion that best fits the path to the truth",
+    "fit": "ATE: after the rigid motion that best fits the path to the truth",
     "start": "at start: with the first pose aligned to the true one",
     "none": "as given: assuming that the truth is in the map frame",
 }
@@ -41,10 +41,10 @@ def short_names(paths: Sequence[Path]) -> list[str]:
 def show_paths(scores: Mapping[str, PathScore], align_by: Alignment, delta: float) -> None:
     """Print the errors of paths against the truth."""
     name, rpe = ALIGNED[align_by], f"RPE/{delta:g} m"
-    header = ["run", "poses", "ATE, m", f"{name}, m", "max, m", "heading, deg"]
+    header = ["run", "poses", "unaligned, m", f"{name}, m", "max, m", "heading, deg"]
     header += [f"{rpe}, m", "deg", "NEES", "95 %", "within"]
     show(header, {(run,): _path_cells(score) for run, score in scores.items()})
-    notes = [f"ATE, RPE, heading: root mean squares; {NOTES[align_by]}"]
+    notes = [f"errors: root mean squares; unaligned: as the files are; {NOTES[align_by]}"]
     consistencies = [score.consistency for score in scores.values()]
     if any(consistencies):
         notes.append(_consistency_note([c for c in consistencies if c]))

@@ -250,12 +250,12 @@ _WORDING = (
 )
 
 
-def near_miss(word: str, known: Any) -> str:
-    """Return a hint with the closest known word, or with all of them."""
+def near_miss(word: str, known: Any, listed: Sequence[str] | None = None) -> str:
+    """Return a hint with the closest known word, or with all of them, as `listed` or sorted."""
     close = difflib.get_close_matches(word, list(known), n=1, cutoff=0.6)
     if close:
         return f"did you mean {close[0]!r}?"
-    return f"known: {', '.join(sorted(known))}"
+    return f"known: {', '.join(sorted(known) if listed is None else listed)}"
 
 
 def find(role: str, name: str) -> type[Component]:

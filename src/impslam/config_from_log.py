@@ -52,7 +52,7 @@ def fitted(config: Config, source: Source, *, odometry_is_free: bool) -> Config:
     if odometry_is_free and _lacks_odometry(config, source):
         kind = _other_odometry(source)
         changes["odometry"] = {"kind": kind}
-        if kind == "lidar_only" and (hint := source.unknown_odometry()):
+        if kind == "lidar_only" and (hint := source.unknown_odometry() or _unread_wheels(source)):
             source.problems.add("unknown odometry", f"{source.path}: {hint}")
     return config.model_copy(update=changes)
 
@@ -84,13 +84,7 @@ def choices(config: Config, source: Source) -> str:
             parts.append(f"{name} {read_as or 'finds nothing in the log'}{where}")
     stream = robot.odometry.stream or source.defaults().get(robot.odometry.consumes, "")
     if not robot.odometry.measures_motion:
-        wheels = source.defaults().get(WheelAngles)
         parts.append("no odometry: mapped by the lidar alone")
-        if wheels:
-            parts.append(
-                f"wheel angles {wheels} are not read: for them set odometry.kind=encoders, "
-                "odometry.wheel_radius and odometry.track"
-            )
     elif stream:
         parts.append(f"odometry {stream}")
     return "; ".join(parts) or "nothing in this log"
@@ -176,6 +170,15 @@ def _lacks_odometry(config: Config, source: Source) -> bool:
 def _other_odometry(source: Source) -> str:
     """Return the kind of odometry for a log without poses: velocities need no parameter, wheels do."""
     return "velocity" if Velocity in (source.kinds() or ()) else "lidar_only"
+
+
+def _unread_wheels(source: Source) -> str:
+    """Say how wheels are read, which need parameters; "" if the log has none."""
+    wheels = source.defaults().get(WheelAngles, "")
+    return wheels and (
+        f"wheel angles {wheels} are not read: for them set odometry.kind=encoders, "
+        "odometry.wheel_radius and odometry.track"
+    )
 
 
 def _refuse_tilted(source: Source, name: str, stream: str, mount: Mount) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from pydantic import ValidationError
 
@@ -13,6 +13,9 @@ from impslam.config import Config, carried, load, load_plugins
 from impslam.config_from_log import fitted
 from impslam.errors import ConfigError, SourceError
 from impslam.sources.base import Source, recognise
+
+_ROLE_OPTIONS = (("topics", "--topic"), ("columns", "--columns"))
+"""Parameters of logs that assign names by role, with their options."""
 
 
 def open_log(
@@ -78,14 +81,26 @@ def _sets(setting: str, key: str) -> bool:
 
 def _source(log: Path, parameters: Mapping[str, Any]) -> Source:
     kind = recognise(log)
-    for key, option in (("topics", "--topic"), ("columns", "--columns")):
+    for key, option in _ROLE_OPTIONS:
         if key in parameters and key not in kind.model_fields:
             raise ConfigError(f"{log}: logs of kind {kind.name} have no {key}; leave out {option}")
     try:
         return kind(path=log, **parameters)
     except ValidationError as error:
+        _refuse_unknown_roles(kind, parameters)
         known = set(kind.model_fields) - {"path"}
         raise ConfigError(explain(error, f"source ({kind.name})", known)) from None
+
+
+def _refuse_unknown_roles(kind: type[Source], parameters: Mapping[str, Any]) -> None:
+    """Raise for a topic or column that is assigned to a role that its format does not have."""
+    for key, option in _ROLE_OPTIONS:
+        if key in kind.model_fields and isinstance(given := parameters.get(key), Mapping):
+            roles = get_args(get_args(kind.model_fields[key].annotation)[0])
+            for role in given.keys() - set(roles):
+                raise ConfigError(
+                    f"{option} {role}: no such role; the roles are {', '.join(roles)}"
+                )
 
 
 def finished(config: str | Path | Config, settings: Sequence[str] = ()) -> Config:

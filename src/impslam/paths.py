@@ -195,5 +195,5 @@ def read_text(path: Path, advice: str, kind: type[ImpError] = ImpError) -> str:
     except FileNotFoundError:
         raise kind(f"{path}: no such file; {advice}") from None
     except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or error
+        reason = getattr(error, "strerror", None) or "not a text file: it does not decode as UTF-8"
         raise kind(f"{path}: cannot be read as text ({reason}); {advice}") from None

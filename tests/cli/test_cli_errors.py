@@ -52,6 +52,8 @@ def test_files_that_are_no_logs(imp, tmp_path, command, content) -> None:
 
 @pytest.mark.parametrize("command", ["run", "inspect"])
 def test_a_folder_that_is_no_log(imp, tmp_path, command) -> None:
+    fails(imp(command, tmp_path), str(tmp_path), "the folder is empty")
+    (tmp_path / "notes.txt").write_text("hello\n")
     fails(imp(command, tmp_path), str(tmp_path), "no known log format")
 
 
@@ -102,9 +104,7 @@ def test_an_unusable_option_names_its_command(imp) -> None:
 
 def test_an_unknown_command(imp) -> None:
     fails(imp("survey"), 'imp: unknown command "survey"; see imp --help')
-    fails(
-        imp("map", "infos"), 'imp map: unknown command "infos". Did you mean "info"?; see imp map'
-    )
+    fails(imp("map", "infos"), 'imp map: unknown command "infos". Did you mean "info"? See imp map')
 
 
 def test_unknown_preset(imp, room) -> None:
@@ -168,16 +168,24 @@ def test_topics_of_a_log_without_topics(imp, tmp_path) -> None:
 
 def test_a_topic_that_is_not_there(imp, room) -> None:
     fails(imp("run", room, "--topic", "scan=/scam"), "/scam", "'/scan'")
-    fails(imp("run", room, "--topic", "scam=/scan"), "scam")
+    fails(
+        imp("run", room, "--topic", "scam=/scan"), "--topic scam: no such role; the roles are scan,"
+    )
 
 
 def test_usage(imp, room) -> None:
-    fails(imp("rum", room), "rum", "run")
+    fails(imp("rum", room), "rum", 'Did you mean "run"? See imp --help')
     fails(imp("run"), "LOG")
     fails(imp("run", room, "--outptu", "x"), "--outptu", "--output")
     fails(imp("run", room, "more"), "more")
     fails(imp("run", room, "--seed", "x"), "--seed")
     fails(imp("simulate", "room"), "--output")
+
+
+def test_no_folder_for_results(imp, room, tmp_path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "runs").touch()
+    fails(imp("run", room), "runs: cannot be written", "give a folder with -o")
 
 
 def test_worlds(imp, tmp_path) -> None:

@@ -246,6 +246,11 @@ def one_line(said, part) -> None:
         (["run", "--delta", "0"], "greater than 0"),
         (["run", "--gate", "nan"], "greater than 0"),
         (["run", "--align", "best"], "--align"),
+        (
+            ["picture.png"],
+            "not a text file: it does not decode as UTF-8); give the folder of a run",
+        ),
+        (["run", "--truth", "picture.png"], "as UTF-8); give a TUM file"),
         (["run", "-o", "plot.jpg"], "plot.jpg: pictures are written as PNG"),
     ],
 )
@@ -256,6 +261,7 @@ def test_one_line_errors(imp, tmp_path, monkeypatch, words, part) -> None:
     (tmp_path / "empty.tum").write_text("")
     (tmp_path / "bad.tum").write_text("<html>\n")
     (tmp_path / "good.relations").write_text("0 1 0 0 0 0 0 0\n")
+    (tmp_path / "picture.png").write_bytes(b"\x89PNG")
     (tmp_path / "good.csv").write_text("x,y\n1,2\n")
     folder(tmp_path)
     one_line(imp("evaluate", *words), part)

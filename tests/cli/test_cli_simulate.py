@@ -82,6 +82,7 @@ def test_errors_in_the_robot_are_one_line(imp, tmp_path) -> None:
         (["--set", "lidar.rat=5"], "lidar.rat is not a parameter; did you mean 'rate'?"),
         (["--set", "lidar.rate=-5"], "lidar.rate = -5"),
         (["--set", "lidar"], "expected key=value"),
+        (["--set", "imu=off"], "imu = 'off': must be none or a table of parameters"),
         (["--robot", robot], "robot.toml: lidar.beam is not a parameter"),
         (["--robot", tmp_path / "absent.toml"], "no such file"),
     ):

@@ -392,6 +392,16 @@ def test_bad_rows_are_counted_and_dropped(tmp_path: Path) -> None:
             "4 turns; write the angles of beams in rad",
         ),
         ("stamp,a,0,1,2,3", {"columns": {"x": "ab"}}, "no column 'ab'; did you mean 'a'"),
+        (
+            "stamp,r0,r1,r2,r3,a",
+            {"columns": {"x": "bcd"}},
+            "no column 'bcd'; known: stamp, a, r0 to r3$",
+        ),
+        (
+            "0,1,0,0,0,0",
+            {"columns": {"x": "0"}},
+            "no column '0'; without a header, columns are called 1 to 6",
+        ),
         ("stamp,a,0,1,2,3", {"columns": {"ranges": "0"}}, "expected ranges=FIRST:LAST"),
         ("stamp,a,0,1,2,3", {"columns": {"ranges": "2:0"}}, "0 is before 2"),
         ("stamp,a,0,1,2,3", {"columns": {"x": "a*b"}}, "'b' is not a number"),

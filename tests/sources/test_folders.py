@@ -56,6 +56,10 @@ def test_the_folder_of_a_run_is_told_from_one_of_logs(tmp_path: Path) -> None:
     assert "the result of a run" in refusal(tmp_path)
 
 
+def test_an_empty_folder_is_named(tmp_path: Path) -> None:
+    assert refusal(tmp_path).endswith("the folder is empty; give a log, or the folder of one")
+
+
 def test_a_folder_without_logs_is_of_no_known_format(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("hello\n")
     assert "no known log format; readable are" in refusal(tmp_path)

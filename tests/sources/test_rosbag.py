@@ -464,6 +464,10 @@ def test_joints_without_wheels_are_not_read(tmp_path: Path) -> None:
             "no wheels among the joints wheel_l, wheel_r; name them with --set",
         ),
         (["left_wheel", "right_wheel"], "velocities, but no positions"),
+        (
+            ["left_wheel_joint", "right_wheel_joint"],
+            "/js are not read: for them set odometry.kind=encoders",
+        ),
         (["shoulder", "elbow"], ""),
     ],
 )
@@ -474,6 +478,8 @@ def test_wheels_that_are_not_read_are_named(tmp_path: Path, names: list[str], sa
     assert config.odometry == {"kind": "lidar_only"}
     assert said in source.problems.examples.get("unknown odometry", "")
     assert bool(said) == bool(source.problems.counts)
+    _, source = open_log(path, settings=["odometry.kind=lidar_only"])
+    assert not source.problems.counts, "the user has chosen"
 
 
 @pytest.mark.parametrize("kind", ["PoseStamped", "PoseWithCovarianceStamped"])

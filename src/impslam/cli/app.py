@@ -128,7 +128,8 @@ def _usage_error(error: CycloptsError) -> str:
         lack = "needs a value" if error.keyword else "is missing"
         return f"{name}: {what} {lack}; {advice}"
     text = str(error).partition(" Available commands")[0].rstrip(".")  # the advice shows them all
-    return f"{name}: {text[:1].lower()}{text[1:]}; {advice}"
+    said = f"{name}: {text[:1].lower()}{text[1:]}"
+    return f"{said} S{advice[1:]}" if text.endswith("?") else f"{said}; {advice}"
 
 
 def _fail(code: int, error: BaseException, message: str, debug: bool) -> int:

@@ -8,7 +8,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from impslam.errors import ConfigError, ImpError, SourceError
-from impslam.paths import exchange, make_folder
+from impslam.paths import exchange, make_folder, written
 
 INITIAL_FILES = frozenset({"summary.json"})
 """Written before the first scan."""
@@ -93,8 +93,15 @@ def _replaced(wanted: Path | None, own: Set[str], marker: str, *, force: bool) -
 def _choose(wanted: Path | None, name: str, replaced: Path | None) -> Path:
     """Return the folder to write to."""
     if wanted is None:
-        return make_folder(Path("runs"), f"{name}-{time.strftime('%Y%m%d-%H%M%S')}")
+        return default_folder(name)
     return wanted if replaced is None else make_folder(replaced.parent, f"{replaced.name}-partial")
+
+
+def default_folder(name: str) -> Path:
+    """Make the folder runs/NAME-DATE-TIME for a command without -o."""
+    runs = Path("runs")
+    with written(runs, "give a folder with -o", ConfigError):
+        return make_folder(runs, f"{name}-{time.strftime('%Y%m%d-%H%M%S')}")
 
 
 def _kept(folder: Path, results: Set[str], error: BaseException) -> str:

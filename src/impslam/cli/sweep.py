@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from statistics import median
@@ -13,8 +12,9 @@ from cyclopts import Parameter
 
 from impslam.cli import console
 from impslam.cli.console import Common, Jobs, Output, Repeatable, Whole
+from impslam.cli.run_folder import default_folder
 from impslam.errors import ConfigError
-from impslam.paths import exclusive, make_folder
+from impslam.paths import exclusive
 
 if TYPE_CHECKING:
     from impslam.sweeps.cases import Case, Log
@@ -86,7 +86,7 @@ def sweep(  # noqa: PLR0913  # each is an option that a user may give
         raise ConfigError(f"--seeds {seeds}: must be at least 1")
     todo = cases(found, configs or (None,), alternatives(settings), seeds)
     pool = make_pool(jobs, scheduler)
-    folder = output or make_folder(Path("runs"), f"sweep-{time.strftime('%Y%m%d-%H%M%S')}")
+    folder = output or default_folder("sweep")
     with exclusive(folder):
         journal = Journal(folder)
         remaining = [case for case in todo if not journal.has(case.row())]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -11,9 +10,10 @@ from cyclopts import Parameter
 
 from impslam.cli import console
 from impslam.cli.console import Common, ConfigName, Jobs, Output, Settings, Whole
+from impslam.cli.run_folder import default_folder
 from impslam.cli.sweep import Files, Scheduler, find_logs, make_pool
 from impslam.errors import ConfigError
-from impslam.paths import exclusive, make_folder
+from impslam.paths import exclusive
 
 if TYPE_CHECKING:
     from impslam.sweeps.cases import Case
@@ -93,7 +93,7 @@ def tune(  # noqa: PLR0913  # each is an option that a user may give
     tuned_on = [log for log in all_logs if log not in held_out]
     task = Task(tuned_on, held_out, config, settings, search.seeds)
     space, pool = task.space(search.search), make_pool(jobs, scheduler)
-    folder = output or make_folder(Path("runs"), f"tune-{time.strftime('%Y%m%d-%H%M%S')}")
+    folder = output or default_folder("tune")
     with exclusive(folder):
         study = _search(task, space, search, pool, folder, quiet)
         _finish(task, space, study, search.score, pool, folder, quiet)

@@ -45,7 +45,9 @@ def read_run(place: Path) -> RecordedRun:
     if not place.exists():
         raise ImpError(f"{place}: no such run; give the folder of a run, or a TUM file")
     if not place.is_dir():
-        return RecordedRun(read_tum(place))
+        return RecordedRun(
+            read_tum(place, "give the folder of a run (`imp run LOG`), or a TUM file")
+        )
     if not (place / "trajectory.tum").is_file():
         raise ImpError(f"{place}: contains no trajectory.tum; give the folder of a run")
     path = read_tum(place / "trajectory.tum")

@@ -48,10 +48,10 @@ def write_tum(path: Path, trajectory: Array) -> None:
             stream.write(tum_rows(rows[:, 0], rows[:, 1:]))
 
 
-def read_tum(path: Path) -> Array:
+def read_tum(path: Path, advice: str = "give a TUM file") -> Array:
     """Return rows (n, 4) of stamp, x, y, yaw in the order of the file.
 
-    The yaw is NaN if the quaternion is zero or not finite.
+    The yaw is NaN if the quaternion is zero or not finite. `advice` is for a file that is not text.
 
     Raises
     ------
@@ -59,7 +59,7 @@ def read_tum(path: Path) -> Array:
         If the file is missing, contains no pose, or a line is not a pose.
     """
     names = "stamp x y z qx qy qz qw"
-    rows = np.array(list(read_numbers(path, 8, names, finite=4))).reshape(-1, 8)
+    rows = np.array(list(read_numbers(path, 8, names, finite=4, advice=advice))).reshape(-1, 8)
     if len(rows) == 0:
         raise ImpError(f"{path}: contains no pose; a trajectory needs rows of {names}")
     return np.column_stack((rows[:, :3], _yaw(rows[:, 4:], path)))
@@ -78,19 +78,25 @@ def _yaw(quaternions: Array, path: Path) -> Array:
 
 
 def read_numbers(
-    path: Path, columns: int, names: str, *, head: str = "", finite: int | None = None
+    path: Path,
+    columns: int,
+    names: str,
+    *,
+    head: str = "",
+    finite: int | None = None,
+    advice: str = "check the path",
 ) -> Iterator[list[float]]:
     """Yield the rows of a text file of numbers; '#' begins a comment.
 
     `head` is the required first line of the file, if any; the first `finite` numbers of a row, by default
-    all, must be finite.
+    all, must be finite. `advice` is for a file that cannot be read.
 
     Raises
     ------
     ImpError
         If the file cannot be read, or a row does not have `columns` such numbers.
     """
-    lines = read_text(path, "check the path").splitlines()
+    lines = read_text(path, advice).splitlines()
     if head and lines[:1] != [head]:
         raise ImpError(f"{path}: does not begin with {head!r}; write it again with `imp run`")
     for number, line in enumerate(lines, 1):

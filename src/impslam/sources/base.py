@@ -275,6 +275,8 @@ def recognise(path: Path) -> type[Source]:
         )
     if path.is_file() and path.stat().st_size == 0:
         raise SourceError(f"{path}: the file is empty; record or copy it again")
+    if path.is_dir() and not any(path.iterdir()):
+        raise SourceError(f"{path}: the folder is empty; give a log, or the folder of one")
     reasons = []
     for cls in _kinds():
         if cls.recognises(path):

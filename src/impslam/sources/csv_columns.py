@@ -92,7 +92,7 @@ def layout(
     MessageError
         If the stamp, the ranges or the directions of the beams are not found; the text says what to do.
     """
-    cells = {role: _given_cells(header, role, text) for role, text in given.items()}
+    cells = {role: _given_cells(header, role, text, named) for role, text in given.items()}
     plain = ["." + _BRACKETED.sub(r"_\1", name.lower()).lstrip("%# ") for name in header]
     for role, names in NAMES.items():
         if role not in cells and (found := _find_by_name(plain, names)):
@@ -112,6 +112,7 @@ def layout(
             example = "stamp=NAME" if role == "stamp" else "ranges=FIRST:LAST"
             raise MessageError(
                 f"no column for {role} found ({shorten(header)}): name it with --columns {example}"
+                + ("" if named else f"; without a header, columns are called 1 to {len(header)}")
             )
     if is_echo and cells["stamp"].factor == 1.0:
         cells["stamp"] = cells["stamp"]._replace(factor=UNITS["ns"])
@@ -148,7 +149,7 @@ def shorten(columns: Sequence[str]) -> str:
     return ", ".join(columns[:MAX_SHOWN]) + (", ..." if len(columns) > MAX_SHOWN else "")
 
 
-def _given_cells(header: Sequence[str], role: Role, text: str) -> CsvCells:
+def _given_cells(header: Sequence[str], role: Role, text: str, named: bool) -> CsvCells:
     names, times, factor = text.partition("*")
     first, to, last = names.strip().partition(":")
     if bool(to) != (role == "ranges"):
@@ -158,17 +159,30 @@ def _given_cells(header: Sequence[str], role: Role, text: str) -> CsvCells:
         by = float(factor) if times else UNITS.get(first.rpartition("_")[2], 1.0)
     except ValueError:
         raise MessageError(f"--columns {role}={text}: {factor!r} is not a number") from None
-    begin, end = _find(header, first), _find(header, last if to else first) + 1
+    begin, end = _find(header, first, named), _find(header, last if to else first, named) + 1
     if end <= begin:
         raise MessageError(f"--columns {role}={text}: {last} is before {first} in the file")
     return CsvCells(begin, end, by)
 
 
-def _find(header: Sequence[str], name: str) -> int:
+def _find(header: Sequence[str], name: str, named: bool) -> int:
     name = name.strip()
-    if name not in header:
-        raise MessageError(f"no column {name!r}; {near_miss(name, list(header))}")
-    return list(header).index(name)
+    if name in header:
+        return list(header).index(name)
+    if not named:
+        raise MessageError(
+            f"no column {name!r}; without a header, columns are called 1 to {len(header)}"
+        )
+    raise MessageError(f"no column {name!r}; {near_miss(name, header, _summary(header))}")
+
+
+def _summary(header: Sequence[str]) -> list[str]:
+    """Return the names of all columns; those of beams, which may be hundreds, as a range at the end."""
+    beams = find_beams(header)
+    if beams is None:
+        return list(header)
+    first, last, _ = beams
+    return [*header[:first], *header[last:], f"{header[first]} to {header[last - 1]}"]
 
 
 def _find_by_name(plain: Sequence[str], names: Sequence[str]) -> CsvCells | None:

@@ -85,7 +85,7 @@ class Common:
     Parameters
     ----------
     quiet
-        Print errors only.
+        Print errors only; `inspect`, `list` and `config` still print their result.
     verbose
         Print more detail while running.
     debug

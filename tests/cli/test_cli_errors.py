@@ -173,6 +173,10 @@ def test_a_topic_that_is_not_there(imp, room) -> None:
     )
 
 
+def test_a_port_without_a_page(imp, room) -> None:
+    fails(imp("run", room, "--port", "99999"), "--port is that of the live page; add --live")
+
+
 def test_usage(imp, room) -> None:
     fails(imp("rum", room), "rum", 'Did you mean "run"? See imp --help')
     fails(imp("run"), "LOG")

@@ -258,6 +258,7 @@ def test_files_that_are_no_maps_are_one_line_errors(imp, office, tmp_path, comma
         (("export", "MAP", "-o", "MAP"), "MAP"),
         (("export", "MAP", "-o", "new", "--resolution", "0"), "resolution"),
         (("merge", "MAP", "-o", "new.imp"), "two or more maps"),
+        (("straighten", "MAP", "-o", "new.txt"), "new.txt: the file name must end in .imp"),
         (("merge", "MAP", "MAP"), "output"),
         (("turn", "MAP"), "turn"),
     ],

@@ -90,3 +90,9 @@ def test_errors_in_the_robot_are_one_line(imp, tmp_path) -> None:
         assert result.code == 2
         assert told in result.err
         assert not log.exists()
+
+
+def test_the_log_is_an_mcap_file(imp, tmp_path) -> None:
+    said = imp("simulate", "room", "-o", tmp_path / "log.bag")
+    assert (said.code, list(tmp_path.iterdir())) == (2, [])
+    assert "log.bag: the file name must end in .mcap" in said.err

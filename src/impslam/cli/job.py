@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
+from typing import TypeAlias
 
 from impslam.cli.bar import RunBar
 from impslam.cli.exports import Exports
@@ -22,6 +23,9 @@ from impslam.paths import keep_inputs
 from impslam.run import map_log
 from impslam.sources.base import Source
 from impslam.types import TrueLandmark
+
+Player: TypeAlias = Callable[[Config, Source, list[Observer], LogFault], Map]
+"""Runs a log through the estimator for some observers, e.g. in real time."""
 
 
 def all_settings(
@@ -63,7 +67,7 @@ def execute(  # noqa: PLR0913  # all parts of a run
     *,
     more: Iterable[Observer] = (),
     true_landmarks: Sequence[TrueLandmark] = (),
-    player: Callable[[Config, Source, list[Observer], LogFault], Map] | None = None,
+    player: Player | None = None,
     known_map: KnownMap | None = None,
     exports: Exports | None = None,
     fault: LogFault = NO_FAULT,

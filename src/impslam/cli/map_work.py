@@ -42,7 +42,7 @@ def progress_line(what: str, quiet: bool) -> Iterator[Progress]:
 
 
 def check_map_path(path: Path, inputs: Sequence[Path]) -> None:
-    """Check that a map may be written to a path: it replaces neither an input nor anything but a map.
+    """Check that a map may be written to a path: as a map, replacing neither an input nor anything else.
 
     Raises
     ------
@@ -51,6 +51,8 @@ def check_map_path(path: Path, inputs: Sequence[Path]) -> None:
     """
     keep_inputs(inputs, [path])
     check_replaceable(path)
+    if path.suffix != ".imp":
+        raise ConfigError(f"{path}: the file name must end in .imp")
 
 
 @contextmanager

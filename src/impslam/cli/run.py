@@ -23,13 +23,14 @@ from impslam.cli.console import (
     Seed,
     Settings,
     Topics,
-    Whole,
+    whole_number,
 )
 from impslam.cli.exports import Exports
 from impslam.cli.interruption import Interruption
 from impslam.errors import ConfigError
 
 if TYPE_CHECKING:
+    from impslam.cli.job import Player
     from impslam.config import Config
     from impslam.continuing import KnownMap
     from impslam.health import LogFault
@@ -48,11 +49,27 @@ class LivePage:
     live
         Replay the log in real time on a web page, with pause, step and speed control.
     port
-        TCP port of the page.
+        TCP port of the page of --live. Default: 8080.
     """
 
     live: Flag = False
-    port: Whole = 8080
+    port: Annotated[int | None, Parameter(converter=whole_number)] = None
+
+    def player(self, *, quiet: bool) -> Player | None:
+        """Return what replays the log on the page; None without --live.
+
+        Raises
+        ------
+        ConfigError
+            If there is a port, but no page.
+        """
+        from impslam.cli.replay import replay
+
+        if self.live:
+            return partial(replay, port=8080 if self.port is None else self.port, quiet=quiet)
+        if self.port is not None:
+            raise ConfigError("--port is that of the live page; add --live")
+        return None
 
 
 @Parameter(name="*")
@@ -137,7 +154,6 @@ def run(  # noqa: PLR0913  # each is an option that a user may give
     """
     with Interruption() as interruption:
         from impslam.cli.job import all_settings, execute
-        from impslam.cli.replay import replay
         from impslam.cli.run_folder import log_stem, run_folder
         from impslam.observers.ending import EndOfRun
         from impslam.open_log import open_log
@@ -145,6 +161,7 @@ def run(  # noqa: PLR0913  # each is an option that a user may give
         interruption.check()
         changes = all_settings(settings, topics, columns, seed)
         page, end, quiet = page or LivePage(), EndOfRun(), common is not None and common.quiet
+        player = page.player(quiet=quiet)
         exports, continuation = exports or Exports(), continuation or ContinuationOptions()
         known_map = continuation.known(live=page.live, outputs=exports.checked().files())
         chosen, source = open_log(log, config, changes)
@@ -154,7 +171,7 @@ def run(  # noqa: PLR0913  # each is an option that a user may give
             known = execute(
                 chosen, source, folder, quiet or page.live,
                 more=[end], known_map=known_map, exports=exports, interruption=interruption,
-                player=partial(replay, port=page.port, quiet=quiet) if page.live else None,
+                player=player,
                 fault=_log_fault(chosen, source, config, quiet=quiet),
             )  # fmt: skip
         if not quiet and end.outcome is not None:

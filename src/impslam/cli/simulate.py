@@ -58,6 +58,8 @@ def simulate(
     from impslam.paths import keep_inputs
     from impslam.simulation.world import load_world
 
+    if output.suffix != ".mcap":
+        raise ConfigError(f"{output}: the file name must end in .mcap")
     beside = [truth_path(output), landmarks_path(output)]
     filmed = [] if camera is None else [camera, camera.with_suffix(".toml")]
     keep_inputs([Path(world), robot], [output, *beside, *filmed])

@@ -263,6 +263,21 @@ def test_values_are_shown_at_the_pointer(browser, report):
 
 
 @pytest.mark.browser
+def test_values_are_shown_at_a_tap(browser, report):
+    with opened(browser, report, has_touch=True) as page:
+        page.locator(".viewer").scroll_into_view_if_needed()
+        box = page.locator(".stage canvas").bounding_box()
+        told = set()
+        for x in np.linspace(0.3, 0.8, 50):
+            page.touchscreen.tap(box["x"] + x * box["width"], box["y"] + box["height"] / 2)
+            if page.locator(".tip").is_visible():
+                told.add(page.locator(".tip").text_content())
+        text = "\n".join(told)
+        for words in ("cylinder 7", "wall 8", "TRACKING"):
+            assert words in text, words
+
+
+@pytest.mark.browser
 def test_on_a_phone_nothing_is_cut_and_two_fingers_zoom(browser, report):
     phone = {"viewport": {"width": 360, "height": 740}, "has_touch": True}
     with opened(browser, report, **phone) as page:

@@ -118,7 +118,11 @@ canvas.addEventListener("pointerdown", (event) => {
 });
 canvas.addEventListener("pointermove", drag);
 for (const type of ["pointerup", "pointercancel"]) canvas.addEventListener(type, lift);
-canvas.addEventListener("pointerleave", () => { seen = null; show([0, 0]); });
+canvas.addEventListener("pointerleave", (event) => {
+  if (event.pointerType === "touch") return; // follows each tap, whose values stay until the next one
+  seen = null;
+  show([0, 0]);
+});
 canvas.addEventListener("dblclick", () => press("0"));
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", recolour);
 new ResizeObserver(() => {

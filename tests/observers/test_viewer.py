@@ -196,6 +196,9 @@ def seconds(page):
 def test_the_map_moves_zooms_and_hides_its_layers(browser, report):
     with opened(browser, report) as page:
         page.locator(".viewer").scroll_into_view_if_needed()
+        labels = page.locator(".layers").text_content()
+        assert "Odometry alone" in labels, "as on the robot's page"
+        assert "Labels" in labels
         page.mouse.move(*centre(page))
         assert changed(page, lambda: page.mouse.wheel(0, -400)) > 0.1
 

@@ -173,11 +173,11 @@ def _landmarks(
         (name, truth[name].kind, _coordinates(truth[name].position), "missing", "", "", "")
         for name in score.missing
     ]
-    header = ("landmark", "kind", "true x, y in m", "estimate", "error", "angle", "of the foot")
+    header = ("landmark", "kind", "true x, y in m", "estimate", "error", "angle", "of x, y")
     note = (
         f"{len(score.found)} of {len(known)} found, {len(score.false)} false, "
         f"{len(score.doubles)} double. The error of a wall is measured across it, at its midpoint; x, y "
-        "is the foot of its normal from the origin."
+        "is the point of its line nearest to the origin."
     )
     return f'<h2>Landmarks against the truth</h2><p class="note">{escape(note)}</p>' + table(
         header, rows, text=2

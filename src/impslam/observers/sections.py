@@ -128,7 +128,7 @@ def landmark_table(landmarks: Sequence[Landmark]) -> str:
     ordered = sorted(landmarks, key=lambda mark: (mark.kind, mark.id))
     rows = [landmark_row(mark, start) for mark in ordered]
     note = (
-        "x, y: a point's centre, or the foot of a wall's normal from the map's origin. 1σ: of x, y "
+        "x, y: a point's centre, or the point of a wall's line nearest to the map's origin. 1σ: of x, y "
         "of a point, or of distance r and direction α of a wall. Times from the first observation."
     )
     return section("Landmarks", table(header, rows), note=note)

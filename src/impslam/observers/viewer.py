@@ -36,8 +36,9 @@ COVARIANCE = (("x", "x", 0, 0), ("x", "y", 0, 1), ("y", "y", 1, 1), ("h", "h", 2
 SCRIPTS = ("data.js", "drawing.js", "pointer.js", "controls.js")
 NOTE = (
     "Drag, scroll or pinch to move and zoom; hover to read values; click the path, the health band or a "
-    "chart to go to that time. Keys: space plays, ← → step, + − 0 zoom, r follows the robot, c colours the "
-    "path, 1 to 9 toggle layers. Ellipses contain a point with 98.9 % probability (3σ)."
+    "chart to go to that time. Keys, after a click on the map: space plays, ← → step, + − 0 zoom, r "
+    "follows the robot, c colours the path, 1 to 9 toggle layers. Ellipses contain a point with 98.9 % "
+    "probability (3σ)."
 )
 FIGURE = """<figure class="viewer" tabindex="0" aria-label="Map of the run">
 <div class="stage"><canvas role="img" aria-label="Map with path, landmarks, scan and robot"></canvas>

@@ -17,11 +17,11 @@ const STATES = ["TRACKING", "DEGRADED", "LOST"];
 const LAYERS = [ // name, label, initially shown, available
   ["grid", "Grid", true, grid.columns > 1],
   ["path", "Path", true, true],
-  ["odometry", "Odometry", false, "ox" in path],
+  ["odometry", "Odometry alone", false, "ox" in path],
   ["truth", "Truth", true, "tx" in path],
   ["walls", "Walls", true, landmarks.some((mark) => mark.ends)],
   ["points", "Points", true, landmarks.some((mark) => !mark.ends)],
-  ["names", "Numbers", landmarks.length <= 40, landmarks.length > 0],
+  ["names", "Labels", landmarks.length <= 40, landmarks.length > 0],
   ["loops", "Loops", true, loops.i.length > 0],
   ["scan", "Scan", true, scans.points.length > 0],
 ].filter(([, , , available]) => available);

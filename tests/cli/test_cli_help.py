@@ -2,12 +2,14 @@
 
 import re
 import shlex
+from typing import get_args
 
 import pytest
 
 from impslam.cli.app import make_app
 from impslam.cli.commands import COMMANDS
 from impslam.cli.map import COMMANDS as MAP_COMMANDS
+from impslam.sources.ros_topics import Use
 
 WORDS = [
     "",
@@ -21,6 +23,25 @@ WORDS = [
 @pytest.mark.parametrize("command", WORDS)
 def test_each_help_has_an_example(imp, command) -> None:
     assert re.search(rf"For example: *\n *\n • imp {command}", imp(*command.split(), "--help").out)
+
+
+@pytest.mark.parametrize(
+    ("command", "usage"),
+    [
+        ("evaluate", "[OPTIONS] RUNS..."),
+        ("calibrate", "[OPTIONS] LOGS..."),
+        ("sweep", "[OPTIONS] LOGS..."),
+        ("tune", "[OPTIONS] LOGS..."),
+        ("map merge", "--output PATH [OPTIONS] FILES..."),
+    ],
+)
+def test_the_usage_names_what_a_command_needs(imp, command, usage) -> None:
+    assert imp(*command.split(), "--help").out.startswith(f"Usage: imp {command} {usage}\n")
+
+
+def test_the_roles_of_topics_are_those_of_ros_logs(imp) -> None:
+    words = " ".join(re.sub("[│\n]", " ", imp("run", "--help").out).split())
+    assert f"Roles: {', '.join(get_args(Use))}." in words
 
 
 def test_each_example_is_understood() -> None:

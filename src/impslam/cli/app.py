@@ -12,7 +12,7 @@ from cyclopts import App, CycloptsError, MissingArgumentError, UnusedCliTokensEr
 
 import impslam
 from impslam.cli import pipes, startup_notice
-from impslam.cli.commands import COMMANDS
+from impslam.cli.commands import COMMANDS, USAGES
 from impslam.cli.console import configure_logging, help_text
 from impslam.cli.interruption import stopped_at_once
 from impslam.errors import ImpError, Interrupted, QuitError
@@ -35,7 +35,8 @@ def make_app() -> App:
     )
     for number, (name, (function, summary, examples)) in enumerate(COMMANDS.items()):
         text = help_text(summary, name, *examples)
-        app.command(f"impslam.cli.{function}", name=name, help=text, sort_key=number)
+        more: dict[str, Any] = {"usage": USAGES[name]} if name in USAGES else {}
+        app.command(f"impslam.cli.{function}", name=name, help=text, sort_key=number, **more)
     return app
 
 

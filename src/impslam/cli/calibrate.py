@@ -43,8 +43,7 @@ def calibrate(  # noqa: PLR0913  # each is an option that a user may give
     logs
         Logs of one robot with the same wheels and mounts.
     keep
-        A parameter to leave unchanged: --keep wheel_radius. The range scale is only calibrated if a
-        length of the robot is kept.
+        A parameter to leave unchanged. To calibrate the range scale, keep wheel_radius or track.
     square
         Use the UMBmark method: each log is a square with this side length (m) that ends where it
         began, some turning left and some right. Only wheels and track are calibrated.

@@ -88,3 +88,14 @@ COMMANDS: dict[str, tuple[str, str, tuple[str, ...]]] = {
 }
 """Each command's module and function (imported only when called, so that `imp --help` is quick), its
 summary, and examples of its arguments, in the order in which a user with a log needs them."""
+
+USAGES = {
+    name: f"Usage: imp {name} [OPTIONS] {several}...\n"
+    for name, several in (
+        ("evaluate", "RUNS"),
+        ("calibrate", "LOGS"),
+        ("sweep", "LOGS"),
+        ("tune", "LOGS"),
+    )
+}
+"""Usage of the commands that need one or more runs or logs; cyclopts would call these optional."""

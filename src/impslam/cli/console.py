@@ -38,7 +38,8 @@ Whole: TypeAlias = Annotated[int, Parameter(converter=whole_number)]
 Flag: TypeAlias = Annotated[bool, Parameter(negative="", show_default=False)]
 Repeatable: TypeAlias = Annotated[tuple[str, ...], Parameter(negative="", show_default=False)]
 Settings: TypeAlias = Annotated[
-    Repeatable, Parameter(name="--set", help="Override a parameter: --set filter.kind=ekf.")
+    Repeatable,
+    Parameter(name="--set", help="Override a parameter: --set sensors.lidar.range_max=8."),
 ]
 ConfigName: TypeAlias = Annotated[
     str | None,
@@ -62,7 +63,12 @@ Force: TypeAlias = Annotated[
     Parameter(help="Replace an existing run in the -o folder once the new one is complete."),
 ]
 Topics: TypeAlias = Annotated[
-    Repeatable, Parameter(name="--topic", help="Assign a topic to a role: --topic scan=/scan.")
+    Repeatable,
+    Parameter(
+        name="--topic",
+        help="Assign a topic to a role: --topic scan=/scan. Roles: scan, wheels, voltages, velocity, "
+        "odometry, imu, fix, image, truth.",
+    ),
 ]
 Columns: TypeAlias = Annotated[
     Repeatable,
@@ -71,7 +77,10 @@ Columns: TypeAlias = Annotated[
         help="Map the columns of a CSV log: --columns stamp=t,ranges=r0:r359*0.001.",
     ),
 ]
-Seed: TypeAlias = Annotated[int | None, Parameter(help="Random seed.", converter=whole_number)]
+Seed: TypeAlias = Annotated[
+    int | None,
+    Parameter(help="Random seed. Default: that of the config.", converter=whole_number),
+]
 SimulationSeed: TypeAlias = Annotated[
     Whole, Parameter(validator=validators.Number(gte=0, lt=1 << 63))
 ]

@@ -30,7 +30,7 @@ class Exports:
     rerun
         Export to an .rrd file for the Rerun viewer (needs rerun-sdk).
     video
-        Export to an .mp4 video of the drive (VP9, 15 s long; takes about half a minute).
+        Export to an .mp4 video of the drive (VP9, at most 15 s long; takes about half a minute).
     """
 
     mcap: Path | None = None

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from cyclopts import App
 
 from impslam.cli.console import help_text
@@ -31,7 +33,12 @@ COMMANDS = {
 }
 """Summary and example of each command NAME: the function NAME in `map_NAME`, imported when called."""
 
+USAGES = {"merge": "Usage: imp map merge --output PATH [OPTIONS] FILES...\n"}
+"""Usage of the command that needs several maps; cyclopts would call them optional."""
+
 app = App(name="map")
 for _number, (_name, (_summary, _example)) in enumerate(COMMANDS.items()):
     _help = help_text(_summary, f"map {_name}", _example)
-    app.command(f"impslam.cli.map_{_name}:{_name}", name=_name, help=_help, sort_key=_number)
+    _more: dict[str, Any] = {"usage": USAGES[_name]} if _name in USAGES else {}
+    _place = f"impslam.cli.map_{_name}:{_name}"
+    app.command(_place, name=_name, help=_help, sort_key=_number, **_more)

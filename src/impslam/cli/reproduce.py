@@ -45,7 +45,10 @@ ALL = "all"
 
 Runs: TypeAlias = Annotated[
     int | None,
-    Parameter(help="Simulated runs per experiment. Default: a few.", converter=whole_number),
+    Parameter(
+        help="Simulated runs per experiment. Default: 1 to 100, by experiment.",
+        converter=whole_number,
+    ),
 ]
 
 

@@ -81,7 +81,8 @@ class ContinuationOptions:
     ----------
     map
         Continue this map (map.imp; with --frozen also a grid, map.yaml). The log's start is located in
-        the map; a log whose run was interrupted is resumed where the map ends.
+        the map. If a run of this log was interrupted, its scans in the map are tracked again, and the rest
+        is mapped.
     frozen
         Localise in the map without changing it.
     start

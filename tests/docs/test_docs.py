@@ -108,6 +108,12 @@ def test_an_output_is_compared_with_the_page():
             assert_shown("scans 912 used", other)
 
 
+def test_the_example_of_a_config_loads(tmp_path):
+    ((_, text),) = blocks(ROOT / "docs" / "config.md", "toml")
+    (tmp_path / "mine.toml").write_text(text)
+    assert load(tmp_path / "mine.toml").robot == "myrobot"
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_every_command_and_config_is_understood(page):
     for language, text in blocks(page, "sh", "toml", "python"):

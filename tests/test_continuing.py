@@ -118,7 +118,11 @@ def test_an_estimator_that_cannot_go_on_gives_way_to_one_that_can(drive, whole):
 
 @pytest.mark.parametrize("stop", [150, 300])
 def test_an_estimator_that_cannot_go_on_leaves_all_that_it_has_seen(drive, stop, tmp_path):
-    """Its keyframes are closer together than those of the graph that continues the map."""
+    """Its keyframes are closer together than those of the graph that continues the map.
+
+    The drive begins at speed: no wheel reaches 2 m/s within 0.1 s, and the estimator would expect a slip.
+    """
+    drive = tuple(rows[10:] for rows in drive)
     settings = ["odometry.kind=odometry_pose", "sensors.lidar.range_max=20"]
     part = mapped(drive, slice(stop), config="imp", settings=settings)
     part = Map.load(part.save(tmp_path / "part.imp"))

@@ -24,7 +24,13 @@ from impslam.odometry.holding import Holding
 from impslam.odometry.pending import PendingQueue, PendingRows
 from impslam.odometry.stream import OdometryStream, unknown_motions
 from impslam.odometry.stream_clocks import StreamClocks
-from impslam.odometry.synchroniser import END, MAX_DELAY, PendingSweeps, Synchroniser
+from impslam.odometry.synchroniser import (
+    END,
+    MAX_DELAY,
+    PendingSweeps,
+    Synchronised,
+    Synchroniser,
+)
 from impslam.odometry.turn_errors import TurnErrors
 from impslam.sensors.base import Sensor
 from impslam.sources.base import Problems
@@ -73,6 +79,7 @@ class Robot:
         self._queue, self._clocks = PendingQueue(), StreamClocks()
         self._holding = Holding({n: getattr(s, "latency", 0.0) for n, s in sensors.items()})
         self._shift = 0.0  # s, from the newest odometry stamp to its time
+        self._has_begun = False  # without odometry: whether a sweep was used
         # Position in the log, kind, example, count.
         self._faults: list[tuple[int, str, str, int]] = []
 
@@ -212,12 +219,27 @@ class Robot:
         pending = self._queue.push(rows)
         got = self._synchroniser.feed(order, motions, pending, last)
         if not self.odometry.measures_motion:
-            ahead = np.abs(pending.stamps[: len(got.twists)] - got.motions.stamps)
-            got = got._replace(stamp_covariance=diagonal(np.outer(ahead**2, TWIST_SIGMA**2)))
+            got = self._without_odometry(pending, got)
         found = self._queue.pop(got)
         for _, sweeps in found:
             self._count_blind(sweeps)
         return found
+
+    def _without_odometry(self, pending: PendingSweeps, got: Synchronised) -> Synchronised:
+        """Return motions of a robot whose odometry measures none.
+
+        Within the first sweep there is none, because the pose there is the origin.
+        """
+        ahead = np.abs(pending.stamps[: len(got.twists)] - got.motions.stamps)
+        covariance = got.motions.covariance.copy()
+        usable = np.flatnonzero(pending.usable[: len(got.twists)])
+        if len(usable) and not self._has_begun:
+            first, self._has_begun = usable[0], True
+            covariance[first] = ahead[first] = 0.0
+        return got._replace(
+            motions=got.motions._replace(covariance=covariance),
+            stamp_covariance=diagonal(np.outer(ahead**2, TWIST_SIGMA**2)),
+        )
 
     def _count_blind(self, sweeps: Sweeps) -> None:
         """Record scans without a valid beam; their motion is still used."""

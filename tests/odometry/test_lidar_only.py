@@ -49,6 +49,16 @@ def mapped(messages, folder, *settings):
 # --------------------------------------------------------------------------- the readings
 
 
+@pytest.mark.parametrize("sweep", [0.0, 0.06])
+@pytest.mark.parametrize("begin", [0.0, 1.5e9])
+def test_the_first_pose_is_the_origin_whenever_its_sweep_ends(room, tmp_path, sweep, begin):
+    """Also if the sweep's time is that of the config, or rounding leaves some of it before the middle."""
+    messages = [replace(m, stamp=begin + m.stamp) for m in room if isinstance(m, LaserScan)][:30]
+    kept = mapped(messages, tmp_path, f"sensors.lidar.sweep_time={sweep}")
+    assert kept.results[0].covariance[0, 0] < 1e-6
+    assert max(step.covariance[0, 0] for step in kept.results) < 0.01
+
+
 def test_a_motion_is_unknown_and_goes_from_middle_to_middle():
     made = LidarOnly()
     readings = made.readings(columns(scan(1.0, (0.0, 0.06)), scan(1.1, (0.0, 0.06))))

@@ -404,6 +404,24 @@ def test_a_folded_node_moves_with_its_host():
     np.testing.assert_allclose(between(graph.poses[18], graph.poses[20]), T, atol=1e-12)
 
 
+@pytest.mark.parametrize("frozen", [0, 19])
+def test_the_covariance_of_a_folded_node_includes_that_relative_to_its_host(frozen):
+    """Also if the host is a node of a frozen map, relative to which it is certain."""
+    graph, C = grown(square(), drift=(0.0, 0.0, 0.004)), np.diag([4e-4, 9e-4, 1e-4])
+    graph.frozen = frozen
+    if frozen:
+        graph.covariances = graph.covariances.copy()
+        graph.covariances[:frozen] = 0.0
+    graph.fold(20, 18, between(graph.poses[18], graph.poses[20]), C)
+    graph.solve()
+    T = between(graph.poses[18], graph.poses[20])
+    _, expected = compose_uncertain(graph.poses[18], graph.covariances[18], T, C)
+    np.testing.assert_allclose(graph.covariances[20], expected, rtol=1e-6, atol=2e-8)  # of the root
+    reach = graph.reach(18)
+    assert reach[18] == 0.0
+    assert reach[20] == pytest.approx(3.0 * math.sqrt(9e-4), rel=0.02)
+
+
 def test_nothing_is_folded_twice_or_into_itself():
     truth = square(n=2)
     graph = grown(truth)

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from impslam.geometry.chain import advance
 from impslam.geometry.kernels import kernel
 from impslam.geometry.se2 import (
     between,
@@ -245,11 +246,19 @@ class PoseGraph:
         root, nodes = self.roots, np.arange(len(self))
         fixed = np.flatnonzero((root == nodes) | (nodes < self.frozen) | self.is_folded)
         solution = solve(self.poses, self.edges, fixed)
-        covariances = marginals(solution.poses, self.edges, fixed)[self.hosts]
+        covariances = self._with_folded(
+            solution.poses, marginals(solution.poses, self.edges, fixed)
+        )
         covariances += self.covariances[root]
         covariances[: self.frozen] = self.covariances[: self.frozen]
         self.poses = compose(solution.poses[self.hosts], self._T_host_node)
         self.covariances = covariances
+
+    def _with_folded(self, poses: Array, covariances: Array) -> Array:
+        """Return covariances (n, 3, 3) of all nodes, given poses (n, 3) and those of nodes not folded."""
+        out = covariances[self.hosts]
+        _add_folded(poses, self.hosts, self._T_host_node, self._host_covariances, out)
+        return out
 
     def reach(self, node: int) -> Array:
         """Return the uncertainty (n,) m of each node's position relative to one node, 3 sigma.
@@ -259,7 +268,8 @@ class PoseGraph:
         apart = self.roots != self.roots[node]
         fixed = apart | self.is_folded
         fixed[self.hosts[node]] = True
-        covariances = marginals(self.poses, self.edges, np.flatnonzero(fixed))[self.hosts]
+        covariances = marginals(self.poses, self.edges, np.flatnonzero(fixed))
+        covariances = self._with_folded(self.poses, covariances)
         variances = np.linalg.eigvalsh(covariances[:, :2, :2])[:, -1]
         return np.where(apart, math.inf, 3.0 * np.sqrt(np.maximum(variances, 0.0)))
 
@@ -281,6 +291,14 @@ def _reversed(T_i_j: Array, covariance: Array) -> tuple[Array, Array]:
     by_first, by_second = compose_jacobians(T_i_j, T_j_i)
     J = by_second.T @ by_first  # the second one is a rotation
     return T_j_i, np.asarray(J @ covariance @ J.T)
+
+
+@kernel
+def _add_folded(poses: Array, hosts: Ints, T: Array, P: Array, covariances: Array) -> None:
+    """Propagate covariances (n, 3, 3) of the hosts to their nodes, at T (n, 3), P (n, 3, 3) from them."""
+    for n in range(len(hosts)):
+        if hosts[n] != n:
+            advance(poses[hosts[n]].copy(), covariances[n], T[n], P[n])
 
 
 @kernel

@@ -104,3 +104,15 @@ def test_correlated_errors_of_a_robot_that_stands_are_no_travel():
     for _ in range(2000):
         seen = RNG.normal(0.0, 0.003) * np.array([1.0, 0.3, 0.0])
         assert check_offsets(offsets, still, seen, 0.1) == (NONE, 0.0)
+
+
+@pytest.mark.parametrize("turned", [0.0, 10.0])
+def test_a_wrong_scale_of_sideways_motion_is_no_turned_mount(turned):
+    """An omnidirectional robot drives ahead and diagonally, and its odometry reports 10 % less sideways."""
+    offsets, found = initial_offsets(), []
+    mount = np.array([0.0, 0.0, np.radians(turned)])
+    for k in range(300):
+        step = np.array([0.06, 0.05 * (k // 20 % 3), 0.02 * (k // 10 % 3 - 1)])
+        seen = between(mount, compose(step, mount)) + RNG.normal(0.0, (0.003, 0.003, 0.004))
+        found.append(check_offsets(offsets, step * [1.0, 0.9, 1.0], seen, 0.2))
+    assert {reason for reason, _ in found[100:]} == {MISALIGNED if turned else NONE}

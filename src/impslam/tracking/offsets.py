@@ -51,6 +51,9 @@ MIN_DISTANCE = 0.7
 """m of travel that the comparison needs: less may be a single wrong match."""
 MIN_STEPS = 6.0
 """Matches that the comparison needs for its standard deviation to mean something."""
+MAX_SIDEWAYS = 0.3
+"""Ratio of odometry's motion sideways and ahead beyond which it is not compared: the sideways scale of
+omnidirectional wheels is off by up to 15 %, which would look like a turned mount."""
 MAX_STEP = (0.5, 0.3)
 """m, rad of motion between two matches beyond which they are not compared."""
 _CAPACITY = 64
@@ -103,7 +106,8 @@ def check_offsets(
         interrupt(offsets)
     else:
         _add_turns(offsets, odometry[2], scans[2], duration)
-    if abs(scans[0]) < MAX_STEP[0] and abs(scans[2]) < MAX_STEP[1]:
+    is_ahead = abs(odometry[1]) <= MAX_SIDEWAYS * abs(odometry[0])
+    if is_ahead and abs(scans[0]) < MAX_STEP[0] and abs(scans[2]) < MAX_STEP[1]:
         _add_sideways(offsets, odometry, scans)
     lag, rotation = _lag(offsets), _rotation(offsets)
     offsets.newest[0], offsets.newest[1] = NONE, 0.0

@@ -26,8 +26,8 @@ NORMAL_RADIUS = (
     0.25  # m on either side for fitting a normal: long compared with the noise of a beam, 1 to 3 cm
 )
 MAX_NEIGHBOURS = 8
-"""Nearest neighbours used on either side. Of those beyond, up to `NORMAL_RADIUS`, about as many are used:
-at 1.5 m, 8 beams 0.35 deg apart cover 7 cm, and noise of 1 cm would turn the normal by 4 deg."""
+"""Nearest neighbours used on either side. If they are on one plane, about as many up to `NORMAL_RADIUS` are
+used, too: at 1.5 m, 8 beams 0.35 deg apart cover 7 cm, and noise of 1 cm would turn the normal by 4 deg."""
 MAX_NORMAL_SIGMA, MAX_END_SIGMA = 0.15, 0.075
 """rad, 1 sigma: larger errors of the normal, and at the end of a surface, leave it without weight. Along a
 corridor, the squares of these errors look like information. A few beams between two lost ones, at the edge
@@ -178,13 +178,16 @@ def _normal(
     """
     spacing, _, roughness, noise2 = limits
     stride = max(1, int(NORMAL_RADIUS / (MAX_NEIGHBOURS * max(ranges[i] * spacing, 1e-3))))
-    n, at_end, xx, xy, yy = _scatter(points, connected, stride, i)
-    if n < 3.0:
-        return _single(points, valid, ranges, origins, spacing, i)
+    for reach in (stride, 1):
+        n, at_end, xx, xy, yy = _scatter(points, connected, reach, i)
+        if n < 3.0:
+            return _single(points, valid, ranges, origins, spacing, i)
+        mean, difference = 0.5 * (xx + yy), 0.5 * (xx - yy)
+        half = math.sqrt(difference * difference + xy * xy)
+        flat = mean - half < FLATNESS * (mean + half) + roughness
+        if flat:  # else the surface may end near by
+            break
     x, y = points[i, 0], points[i, 1]
-    mean, difference = 0.5 * (xx + yy), 0.5 * (xx - yy)
-    half = math.sqrt(difference * difference + xy * xy)
-    flat = mean - half < FLATNESS * (mean + half) + roughness
     if not flat or half == 0.0:
         return 0.0, 0.0, 0.0
     # The eigenvector of the smaller eigenvalue; of its two forms, the one that does not cancel.

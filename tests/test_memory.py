@@ -2,7 +2,7 @@
 
 import math
 import tracemalloc
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -98,3 +98,15 @@ def test_a_run_keeps_nothing_of_a_sweep_but_its_row_in_the_map():
     # An array that grows has up to twice as many rows as it uses.
     assert most - least < 2 * row * (after - before)
     assert 2 * row < RANGES.nbytes  # which is therefore not kept either
+
+
+@pytest.mark.parametrize("preset", ["default", "imp"])
+def test_a_robot_at_rest_keeps_a_few_scans(preset):
+    """Some presets add a keyframe every half second, moving or not."""
+    run = Run(load(preset, ["odometry.kind=odometry_pose"]))
+    still = [replace(m, pose=np.zeros(3)) if isinstance(m, OdometryPose) else m for m in drive(300)]
+    for batch in batches((type(m).__name__, m) for m in still):
+        run.feed(batch)
+    keyframes = run.map().keyframes
+    assert np.count_nonzero(np.diff(keyframes.starts)) <= 5
+    assert len(keyframes.points) <= 5 * len(ANGLES)

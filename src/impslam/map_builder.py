@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -23,6 +24,7 @@ from impslam.map import (
     poses_in_map,
     with_begins,
 )
+from impslam.maps.grid import STATIONARY, STATIONARY_SCANS
 from impslam.types import Array, Mask, Scan
 
 _DISTINCT = np.ravel_multi_index(UPPER, (3, 3))
@@ -40,6 +42,10 @@ class MapBuilder:
 
     def __init__(self, known: Map | None = None, *, frozen: bool = False) -> None:
         self._frozen = frozen
+        self._still, self._here = (
+            np.zeros(3),
+            0,
+        )  # motion since the robot stopped, keyframes since then
         self._sweeps = {
             "stamps": GrowingArray(),
             "anchors": GrowingArray(dtype=np.int64),
@@ -117,13 +123,24 @@ class MapBuilder:
         kept = self._keyframes
         kept["innovations"].append((len(revision.matches), *revision.nis()))
         scan = keyframe.scan
-        if scan is None or self._frozen:
-            kept["origins"].append(0.0)
+        if self._stands(keyframe.motion.d_pose) or scan is None or self._frozen:
+            kept["origins"].append(0.0 if scan is None else scan.laser[:2])
         else:
             points = valid_points(scan)
             kept["origins"].append(scan.laser[:2])
             kept["points"].append(points, len(points))
         kept["starts"].append(len(kept["points"]))
+
+    def _stands(self, d_pose: Array) -> bool:
+        """Return whether the robot has not moved since more keyframes than the grid draws.
+
+        Some estimators add keyframes at rest, a gigabyte a day with their scans.
+        """
+        self._still, self._here = compose(self._still, d_pose), self._here + 1
+        moved = math.hypot(*self._still[:2]) >= STATIONARY[0]
+        if moved or abs(self._still[2]) >= STATIONARY[1] or not np.isfinite(d_pose).all():
+            self._still, self._here = np.zeros(3), 1
+        return self._here > STATIONARY_SCANS
 
     def _drop(self, ids: tuple[int, ...]) -> None:
         """Remove the points of keyframes that are among the newest."""

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from typing import ClassVar
 
 import numpy as np
@@ -18,6 +19,7 @@ from impslam.landmarks.base import COURSE, COURSE_SIGMA
 from impslam.sensors.base import Sensor
 from impslam.types import NO_FIX, Array, Fix, Mask, Message, Observation, SatelliteFix
 
+MAX_FIXES = 5000  # fixes kept, 8 minutes at 10 Hz; all are searched while the robot stands still
 MIN_COURSE_SIGMAS = 10.0  # distance of two fixes that determine the course to 0.14 rad
 
 
@@ -38,7 +40,9 @@ class Gps(Sensor):
         noise=True,
     )
     latency: float = parameter(0.0, "s", "delay from a fix to its stamp, on the odometry's clock")
-    _track: list[tuple[float, float, float]] = PrivateAttr(default_factory=list)
+    _track: deque[tuple[float, float, float]] = PrivateAttr(
+        default_factory=lambda: deque(maxlen=MAX_FIXES)
+    )
 
     def spans(self, columns: Columns) -> tuple[Array, Array]:
         """Return the times of the fixes, (m,) s on the odometry's clock, as start and end."""

@@ -14,7 +14,7 @@ MAX_SCANS = 3
 """Scans that may wait: 0.3 s at 10 Hz. More would delay the map, fewer would drop scans at a short
 stall of the computer."""
 MAX_MESSAGES = 60_000
-"""Messages that may wait: ten minutes of odometry at 100 Hz, in 10 MB."""
+"""Messages that may wait: five minutes of encoders and gyro at 100 Hz each, in 10 MB."""
 
 
 @dataclass(slots=True, eq=False)

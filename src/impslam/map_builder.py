@@ -42,10 +42,10 @@ class MapBuilder:
 
     def __init__(self, known: Map | None = None, *, frozen: bool = False) -> None:
         self._frozen = frozen
-        self._still, self._here = (
-            np.zeros(3),
+        self._place, self._here = (
+            np.full(3, np.nan),
             0,
-        )  # motion since the robot stopped, keyframes since then
+        )  # where the robot stands, and keyframes there
         self._sweeps = {
             "stamps": GrowingArray(),
             "anchors": GrowingArray(dtype=np.int64),
@@ -123,7 +123,7 @@ class MapBuilder:
         kept = self._keyframes
         kept["innovations"].append((len(revision.matches), *revision.nis()))
         scan = keyframe.scan
-        if self._stands(keyframe.motion.d_pose) or scan is None or self._frozen:
+        if self._stands(revision.poses[-1]) or scan is None or self._frozen:
             kept["origins"].append(0.0 if scan is None else scan.laser[:2])
         else:
             points = valid_points(scan)
@@ -131,15 +131,14 @@ class MapBuilder:
             kept["points"].append(points, len(points))
         kept["starts"].append(len(kept["points"]))
 
-    def _stands(self, d_pose: Array) -> bool:
-        """Return whether the robot has not moved since more keyframes than the grid draws.
+    def _stands(self, pose: Array) -> bool:
+        """Return whether more keyframes than the grid draws are at this place.
 
-        Some estimators add keyframes at rest, a gigabyte a day with their scans.
+        Some estimators add keyframes at rest: with their scans, a gigabyte a day.
         """
-        self._still, self._here = compose(self._still, d_pose), self._here + 1
-        moved = math.hypot(*self._still[:2]) >= STATIONARY[0]
-        if moved or abs(self._still[2]) >= STATIONARY[1] or not np.isfinite(d_pose).all():
-            self._still, self._here = np.zeros(3), 1
+        off, self._here = between(self._place, pose), self._here + 1
+        if not (math.hypot(*off[:2]) < STATIONARY[0] and abs(off[2]) < STATIONARY[1]):
+            self._place, self._here = pose, 1
         return self._here > STATIONARY_SCANS
 
     def _drop(self, ids: tuple[int, ...]) -> None:

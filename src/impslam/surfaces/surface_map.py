@@ -305,12 +305,12 @@ def _add_lone(
 ) -> tuple[_Sums, float]:
     """Return the sums plus a point, of which it or its surfel is on no surface, and its inlier weight.
 
-    `point` is its position and normal in the directions of the map, and the weight of that normal. If a
-    normal is known, of the point or else of the surfel, only the distance across the surface counts: the
-    point is anywhere along it, and the visible end of a wall moves with the robot.
+    `point` is its position and normal in the directions of the map, and the weight of that normal. On a
+    wall seen obliquely, only the distance across it counts: the point is anywhere along it, and the visible
+    end of the wall moves with the robot.
     """
     rx, ry, nx, ny, weight = point
-    if (nx == 0.0 and ny == 0.0) or (surfel[_WEIGHT] == 0.0 and weight > 0.0):
+    if surfel[_WEIGHT] == 0.0 and (weight > 0.0 or (nx == 0.0 and ny == 0.0)):
         nx, ny = surfel[_NX], surfel[_NY]
     w = LONE_WEIGHT if surfel[_WEIGHT] == weight else MIXED_WEIGHT
     if nx != 0.0 or ny != 0.0:

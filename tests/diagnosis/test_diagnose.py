@@ -399,7 +399,7 @@ def test_matching_preset_is_proposed(drive) -> None:
 
 
 def test_tolerable_error_is_not_harmful(drive) -> None:
-    settings = "tracker.kind=scan_to_map", "odometry.track=0.42"
+    settings = "tracker.kind=scan_to_map", "odometry.track=0.43"
     (only,) = found(drive, *settings)
     assert (only.kind, only.harmful) == ("track", False)
 

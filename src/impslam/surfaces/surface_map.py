@@ -263,8 +263,7 @@ def normal_equations(
             w = surfel[_WEIGHT] * weight * share**2
             if surfel[_WEIGHT] == 1.0 or abs(nx * ey - ny * ex) < MAX_BEYOND_END:
                 sums = _add_row(sums, nx, ny, ny * rx - nx * ry, e, w)
-            squares += share * share * e * e
-            weights += share * share
+            squares, weights = squares + share * share * e * e, weights + share * share
         else:
             nx = c * features[i, 2] - s * features[i, 3]
             ny = s * features[i, 2] + c * features[i, 3]

@@ -17,7 +17,6 @@ from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.chain import advance, advance_pose
 from impslam.geometry.kernels import kernel
 from impslam.health import ELSEWHERE, UNEXPLAINED
-from impslam.noise import UNKNOWN
 from impslam.surfaces.features import Features, leave_out_oblique
 from impslam.tracking.base import Gate, Steps, add_travel, reaches_limit
 from impslam.tracking.beams import BeamColumns, find_beam_features
@@ -28,11 +27,11 @@ from impslam.tracking.contradictions import (
     shows_surfaces,
 )
 from impslam.tracking.due import is_due
-from impslam.tracking.frozen import notice_frozen, remains_frozen
-from impslam.tracking.fusion import MAX_COAST, RATE_SIGMA, SPEED_SIGMA, coast, fuse
+from impslam.tracking.frozen import notice_frozen
+from impslam.tracking.fusion import RATE_SIGMA, coast, fuse
 from impslam.tracking.hypotheses import MAX_SLIP, SLIP_SIGMAS
 from impslam.tracking.intervals import add_interval, is_gap
-from impslam.tracking.learned_odometry import correct, learn, variances
+from impslam.tracking.learned_odometry import learn
 from impslam.tracking.match_faults import (
     MIN_FIT,
     WINDOW,
@@ -44,7 +43,6 @@ from impslam.tracking.match_faults import (
     disputed_variance,
     fits_poorly,
     is_odometry_wrong,
-    is_slipping,
 )
 from impslam.tracking.match_information import (
     add_along,
@@ -54,14 +52,13 @@ from impslam.tracking.match_information import (
     remove_spurious,
 )
 from impslam.tracking.matching_state import ScanMatch, Settings, State
+from impslam.tracking.pose_prediction import predict
 from impslam.tracking.pose_search import SEARCH_BELOW, USUAL_SHARE, find_pose
-from impslam.tracking.reach import widen_after_gap
 from impslam.tracking.reference_scan import LastScan
 from impslam.tracking.self_deskewing import deskew, set_twist
 from impslam.tracking.stall import IS_STALLED
 from impslam.tracking.stalled import predict_stalled, report_stalled, set_reference_pose
 from impslam.tracking.submaps import confirmed_surfels, extend, is_empty
-from impslam.types import Array
 
 MIN_POINTS = 10
 """Points; a scan with fewer is not matched."""
@@ -73,11 +70,6 @@ odometry does."""
 MIN_INFORMATION_RATIO = 0.05
 """Smallest ratio of the information along the weakest and the strongest axis: a twentieth of the points
 face along a corridor whose end is in view; fewer are lone points that may be anywhere."""
-SLIP_SHARE = 0.5
-"""Additional standard deviation of odometry while wheels slip, as a share of the motion: they report about
-twice the motion, or less than all of it if they are dragged."""
-INTERVAL_MEMORY = 0.01
-"""Weight of the newest sweep in the running mean of the time between sweeps without odometry."""
 
 
 @kernel
@@ -93,7 +85,7 @@ def follow(
     before, d_pose = np.empty(3), np.empty(3)
     for k in range(len(motions.stamps)):
         before[:] = state.pose
-        no_odometry = _predict(motions, k, state, d_pose)
+        no_odometry = predict(motions, k, state, d_pose)
         out.d_pose[k], out.covariance[k] = state.motion, state.covariance
         at_limit = reaches_limit(gate, d_pose, motions.duration[k])
         in_doubt = state.faults.poor[0] > 0.0
@@ -186,44 +178,6 @@ def _deskew(
         state.pose[:], state.averages[:] = guess, means
     set_twist(motion, state.velocity, seconds, beams.after, twist)
     deskew(parts, twist, known)
-
-
-@kernel
-def _predict(motions: Motions, k: int, state: State, d_pose: Array) -> bool:
-    """Predict the pose of sweep k by odometry, else at constant velocity; return True for the latter.
-
-    Frozen odometry is none. Velocity is per sweep, because some logs have stamps that run backwards.
-    """
-    no_odometry = bool(motions.covariance[k, 0, 0] >= 0.5 * UNKNOWN)  # rounded if cut and composed
-    no_odometry |= remains_frozen(motions.d_pose[k], state)
-    covariance = motions.covariance[k].copy()
-    if no_odometry:
-        seconds = min(motions.duration[k], MAX_COAST)
-        state.averages[2] += INTERVAL_MEMORY * (seconds - state.averages[2])
-        seconds = max(seconds, state.averages[2])
-        d_pose[:], covariance[:] = state.velocity, 0.0
-        position, heading = (SPEED_SIGMA * seconds + 0.01) ** 2, (RATE_SIGMA * seconds + 0.01) ** 2
-        covariance[0, 0], covariance[1, 1], covariance[2, 2] = position, position, heading
-    else:
-        d_pose[:] = motions.d_pose[k]
-        correct(state.odometry, d_pose)
-    state.travelled[0] += math.hypot(d_pose[0], d_pose[1])
-    state.travelled[1] += abs(d_pose[2])
-    state.travelled[2] += motions.duration[k]
-    before = state.interval[0]
-    state.interval[0], state.interval[1] = motions.duration[k], motions.stamps[k] - state.stamp[0]
-    state.stamp[0] = motions.stamps[k]
-    if not no_odometry:
-        position, heading = variances(state.odometry, state.travelled[0], state.travelled[1])
-    state.prior[0], state.prior[1] = position, heading
-    state.slip[:] = 0.0
-    if not no_odometry and is_slipping(state.faults):
-        state.slip[0] = (SLIP_SHARE * state.travelled[0]) ** 2
-        state.slip[1] = (SLIP_SHARE * state.travelled[1]) ** 2
-    advance_pose(state.pose, d_pose)
-    advance(state.motion, state.covariance, d_pose, covariance)
-    widen_after_gap(state, before, no_odometry)
-    return no_odometry
 
 
 @kernel

@@ -1,0 +1,61 @@
+"""Predict the pose of a sweep before it is matched: by odometry, else at constant velocity."""
+
+from __future__ import annotations
+
+import math
+
+from impslam.columns import Motions
+from impslam.geometry.chain import advance, advance_pose
+from impslam.geometry.kernels import kernel
+from impslam.noise import UNKNOWN
+from impslam.tracking.frozen import remains_frozen
+from impslam.tracking.fusion import MAX_COAST, RATE_SIGMA, SPEED_SIGMA
+from impslam.tracking.learned_odometry import correct, variances
+from impslam.tracking.match_faults import is_slipping
+from impslam.tracking.matching_state import State
+from impslam.tracking.reach import widen_after_gap
+from impslam.types import Array
+
+SLIP_SHARE = 0.5
+"""Additional standard deviation of odometry while wheels slip, as a share of the motion: they report about
+twice the motion, or less than all of it if they are dragged."""
+INTERVAL_MEMORY = 0.01
+"""Weight of the newest sweep in the running mean of the time between sweeps without odometry."""
+
+
+@kernel
+def predict(motions: Motions, k: int, state: State, d_pose: Array) -> bool:
+    """Predict the pose of sweep k by odometry, else at constant velocity; return True for the latter.
+
+    Frozen odometry is none. Velocity is per sweep, because some logs have stamps that run backwards.
+    """
+    no_odometry = bool(motions.covariance[k, 0, 0] >= 0.5 * UNKNOWN)  # rounded if cut and composed
+    no_odometry |= remains_frozen(motions.d_pose[k], state)
+    covariance = motions.covariance[k].copy()
+    if no_odometry:
+        seconds = min(motions.duration[k], MAX_COAST)
+        state.averages[2] += INTERVAL_MEMORY * (seconds - state.averages[2])
+        seconds = max(seconds, state.averages[2])
+        d_pose[:], covariance[:] = state.velocity, 0.0
+        position, heading = (SPEED_SIGMA * seconds + 0.01) ** 2, (RATE_SIGMA * seconds + 0.01) ** 2
+        covariance[0, 0], covariance[1, 1], covariance[2, 2] = position, position, heading
+    else:
+        d_pose[:] = motions.d_pose[k]
+        correct(state.odometry, d_pose)
+    state.travelled[0] += math.hypot(d_pose[0], d_pose[1])
+    state.travelled[1] += abs(d_pose[2])
+    state.travelled[2] += motions.duration[k]
+    before = state.interval[0]
+    state.interval[0], state.interval[1] = motions.duration[k], motions.stamps[k] - state.stamp[0]
+    state.stamp[0] = motions.stamps[k]
+    if not no_odometry:
+        position, heading = variances(state.odometry, state.travelled[0], state.travelled[1])
+    state.prior[0], state.prior[1] = position, heading
+    state.slip[:] = 0.0
+    if not no_odometry and is_slipping(state.faults):
+        state.slip[0] = (SLIP_SHARE * state.travelled[0]) ** 2
+        state.slip[1] = (SLIP_SHARE * state.travelled[1]) ** 2
+    advance_pose(state.pose, d_pose)
+    advance(state.motion, state.covariance, d_pose, covariance)
+    widen_after_gap(state, before, no_odometry)
+    return no_odometry

@@ -9,9 +9,10 @@ from hypothesis import strategies as st
 from tests.registry import own_registry
 
 from impslam.component import components
-from impslam.config import carried, load, load_plugins, merge, parse_setting, presets, read_table
+from impslam.config import carried, load, load_plugins, merge, presets, read_table
 from impslam.errors import ConfigError
 from impslam.filters.riekf import RightInvariantEkf
+from impslam.settings import parse_setting
 
 
 def refuse(*settings, base="default"):

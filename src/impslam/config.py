@@ -38,6 +38,7 @@ from impslam.parameters import Parameters
 from impslam.paths import is_file, read_text
 from impslam.removed_components import without_removed
 from impslam.robot import Robot
+from impslam.settings import parse_setting
 from impslam.tracking.base import KeyframeGate, Tracker
 from impslam.types import Array
 
@@ -322,28 +323,6 @@ def _estimator(table: Table) -> type[Estimator] | None:
         return None
     found = find("estimator", kind)
     return found if issubclass(found, Estimator) else None
-
-
-def parse_setting(setting: str) -> Table:
-    """Turn "a.b=value" into {"a": {"b": value}}; a value that is not TOML is a string."""
-    key, equals, text = setting.partition("=")
-    if not equals or not key.strip():
-        raise ConfigError(f"--set {setting}: expected key=value, e.g. --set filter.kind=ekf")
-    try:
-        value = toml.parse(f"value = {text}", f"--set {key}")["value"]
-    except toml.TomlSyntaxError:
-        value = text.strip()
-    if value == {}:
-        raise ConfigError(
-            f"--set {shorten(setting)}: an empty table changes nothing; to switch a component off, set its "
-            "kind to none, e.g. --set sensors.lidar.extractors.walls.kind=none"
-        )
-    parts = key.strip().split(".")
-    if len(parts) > toml.MAX_DEPTH:
-        raise ConfigError(f"--set {shorten(key)}: no such key; `imp config` shows them all")
-    for part in reversed(parts):
-        value = {part: value}
-    return dict(value)
 
 
 def load(base: str | Path | Table = "default", settings: Sequence[str] = ()) -> Config:

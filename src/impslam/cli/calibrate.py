@@ -157,7 +157,8 @@ def _write(
     import tomli_w
 
     from impslam.cli.output_files import write_bytes
-    from impslam.config import load, merge, parse_setting
+    from impslam.config import load, merge
+    from impslam.settings import parse_setting
 
     config, found, comments = result
     name = _base(logs[0], base, output)

@@ -107,7 +107,8 @@ def load_robot(file: Path | None = None, settings: Sequence[str] = ()) -> Simula
     from pydantic import ValidationError
 
     from impslam.component import explain
-    from impslam.config import merge, parse_setting
+    from impslam.config import merge
+    from impslam.settings import parse_setting
     from impslam.simulation.robot import SimulatedRobot
 
     table = {} if file is None else _read_table(file)

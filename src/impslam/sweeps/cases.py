@@ -11,10 +11,11 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from impslam import toml
-from impslam.config import load, parse_setting, presets, read_table
+from impslam.config import load, presets, read_table
 from impslam.errors import ConfigError, SourceError
 from impslam.open_log import open_log
 from impslam.provenance import fingerprint
+from impslam.settings import parse_setting
 from impslam.simulation.robot import SimulatedRobot
 from impslam.simulation.world import load_world, shipped_worlds
 from impslam.sources.base import recognise

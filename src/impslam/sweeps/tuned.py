@@ -8,8 +8,9 @@ from typing import Any
 
 import tomli_w
 
-from impslam.config import merge, parse_setting, presets
+from impslam.config import merge, presets
 from impslam.paths import portable
+from impslam.settings import parse_setting
 from impslam.sweeps.cases import Log, Settings
 from impslam.sweeps.rows import Row
 from impslam.sweeps.task import AFTER, BEFORE, Task

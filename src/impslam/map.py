@@ -470,9 +470,14 @@ def _built(arrays: archive.Arrays, about: dict[str, Any]) -> Map:
     return Map(**{**parts, "keyframes": Keyframes(**parts["keyframes"]), "about": about})
 
 
+def session_starts(sessions: Ints) -> Mask:
+    """Return whether each keyframe (k,) is the first one of its session, given their numbers (k,)."""
+    return np.append(True, sessions[1:] != sessions[:-1])[: len(sessions)]
+
+
 def with_begins(sessions: Ints, begins: Sequence[int]) -> Ints:
     """Return the session numbers (k,) of keyframes after sessions begin at some of them, too."""
-    is_first = np.append(True, sessions[1:] != sessions[:-1])
+    is_first = session_starts(sessions)
     is_first[list(begins)] = True
     return np.cumsum(is_first) - 1
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from typing import Any
 
@@ -10,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from impslam.geometry.chain import advance
-from impslam.geometry.kernels import kernel
+from impslam.geometry.kernels import kernel, read_only
 from impslam.geometry.se2 import between, compose, motion_lengths
 from impslam.growing_array import GrowingArray
 from impslam.map import (
@@ -24,7 +23,7 @@ from impslam.map import (
     poses_in_map,
     with_begins,
 )
-from impslam.maps.grid import STATIONARY, STATIONARY_SCANS
+from impslam.maps.grid import STATIONARY_SCANS, is_at
 from impslam.types import Array, Mask, Scan
 
 _DISTINCT = np.ravel_multi_index(UPPER, (3, 3))
@@ -136,8 +135,8 @@ class MapBuilder:
 
         Some estimators add keyframes at rest: with their scans, a gigabyte a day.
         """
-        off, self._here = between(self._place, pose), self._here + 1
-        if not (math.hypot(*off[:2]) < STATIONARY[0] and abs(off[2]) < STATIONARY[1]):
+        self._here += 1
+        if not is_at(*read_only(self._place, pose)):
             self._place, self._here = pose, 1
         return self._here > STATIONARY_SCANS
 

@@ -140,6 +140,18 @@ def replacement(path: Path) -> Iterator[IO[bytes]]:
         part.unlink(missing_ok=True)
 
 
+def write_bytes(path: Path, data: bytes, advice: str = "give another path") -> None:
+    """Write a file, completely or not at all.
+
+    Raises
+    ------
+    ImpError
+        If it cannot be written; its message ends with the advice.
+    """
+    with written(path, advice), replacement(path) as stream:
+        stream.write(data)
+
+
 @contextmanager
 def replacements(folder: Path) -> Iterator[Path]:
     """Yield a temporary folder whose files replace those of a folder if the block succeeds.

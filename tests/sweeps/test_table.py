@@ -74,7 +74,7 @@ def test_on_a_full_disk_the_files_stay_as_they_were(tmp_path, monkeypatch, name)
         with replacement(path) as stream:
             yield stream
 
-    monkeypatch.setattr("impslam.sweeps.table.replacement", full)
+    monkeypatch.setattr("impslam.paths.replacement", full)
     with pytest.raises(
         ImpError, match=rf"{name}: cannot be written \(No space left on device\); free"
     ):

@@ -87,7 +87,8 @@ def _calibrate(  # see `calibrate`
     """Calibrate with all motions, show and draw the result, and return it."""
     from impslam.calibration.calibrate import calibrate as solve
     from impslam.calibration.calibrate import config_tables
-    from impslam.cli.output_files import write_bytes, write_json
+    from impslam.cli.output_files import write_json
+    from impslam.paths import write_bytes
 
     chosen, drives = _read(logs, config, settings, quiet)
     found = solve(chosen, drives, keep)
@@ -156,8 +157,8 @@ def _write(
     """Write the calibrated config, based on the initial one."""
     import tomli_w
 
-    from impslam.cli.output_files import write_bytes
     from impslam.config import load, merge
+    from impslam.paths import write_bytes
     from impslam.settings import parse_setting
 
     config, found, comments = result

@@ -38,14 +38,14 @@ def diff(
         JSON file to write all numbers to.
     """
     from impslam.cli.map_work import progress_line
-    from impslam.cli.output_files import check_png, write_bytes, write_json
+    from impslam.cli.output_files import check_png, write_json
     from impslam.errors import ImpError
     from impslam.map import Map
     from impslam.maps.changes import changes
     from impslam.maps.files import map_image
     from impslam.maps.relation import aligned_to
     from impslam.observers.change_picture import changes_png
-    from impslam.paths import keep_inputs
+    from impslam.paths import keep_inputs, write_bytes
 
     quiet = common is not None and common.quiet
     if output is not None:

@@ -38,12 +38,12 @@ def info(
         JSON file to write all numbers to.
     """
     from impslam.cli.map_work import progress_line
-    from impslam.cli.output_files import check_png, write_bytes, write_json
+    from impslam.cli.output_files import check_png, write_json
     from impslam.evaluation.quality import quality
     from impslam.map import Map
     from impslam.maps.facts import facts
     from impslam.maps.files import map_image
-    from impslam.paths import keep_inputs
+    from impslam.paths import keep_inputs, write_bytes
 
     quiet = common is not None and common.quiet
     picture = output or file.with_suffix(".png")

@@ -9,25 +9,13 @@ from typing import Any
 
 from impslam.errors import ConfigError
 from impslam.evaluation.json_values import json_values
-from impslam.paths import replacement, written
+from impslam.paths import write_bytes
 
 
 def check_png(path: Path) -> None:
     """Raise `ConfigError` unless a path has the suffix of a PNG."""
     if path.suffix.lower() != ".png":
         raise ConfigError(f"{path}: pictures are written as PNG; give -o NAME.png")
-
-
-def write_bytes(path: Path, data: bytes) -> None:
-    """Write a file.
-
-    Raises
-    ------
-    ImpError
-        If it cannot be written.
-    """
-    with written(path, "give another path"), replacement(path) as stream:
-        stream.write(data)
 
 
 def json_text(facts: Mapping[str, Any]) -> str:

@@ -17,7 +17,7 @@ from impslam.cli.comparison import (
     show_relations,
 )
 from impslam.cli.comparison_json import kind_facts, path_facts, relation_facts
-from impslam.cli.output_files import write_bytes, write_json
+from impslam.cli.output_files import write_json
 from impslam.errors import ConfigError, ImpError
 from impslam.evaluation.consistency import Innovations, score_innovations
 from impslam.evaluation.landmark_files import read_true_landmarks
@@ -28,6 +28,7 @@ from impslam.evaluation.relations import RelationErrors, read_relations, relatio
 from impslam.evaluation.run_files import RecordedRun, read_run
 from impslam.evaluation.scores import KindScore, PathScore, score_kinds, score_path
 from impslam.evaluation.tum import read_tum
+from impslam.paths import write_bytes
 from impslam.types import Array, TrueLandmark
 
 if TYPE_CHECKING:

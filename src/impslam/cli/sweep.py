@@ -158,8 +158,8 @@ def _run(cases: Sequence[Case], pool: Pool, journal: Journal, quiet: bool) -> No
 
 def write(folder: Path, rows: Sequence[Row]) -> list[Path]:
     """Write the table, and the picture if the errors of any run are known; return the files."""
-    from impslam.cli.output_files import write_bytes
     from impslam.evaluation.plots import as_png
+    from impslam.paths import write_bytes
     from impslam.sweeps.plot import draw_sweep
     from impslam.sweeps.table import write_table
     from impslam.sweeps.verdict import by_log, measure_of

@@ -120,9 +120,9 @@ def _finish(
     task: Task, space: Space, study: Any, score: Score, pool: Pool, folder: Path, quiet: bool
 ) -> None:
     """Run all logs, including held-out ones, with the old and new configs; write the results."""
-    from impslam.cli.output_files import write_bytes
     from impslam.cli.sweep import show_errors, write
     from impslam.evaluation.plots import as_png
+    from impslam.paths import write_bytes
     from impslam.sweeps.tuned import tuned_config
     from impslam.sweeps.tuning import best, suggest
     from impslam.sweeps.tuning_plot import draw_search

@@ -19,7 +19,7 @@ from impslam.graph.bearings import ScanFeatures
 from impslam.graph.bundle import RefinementSettings, refine
 from impslam.graph.overlaps import Nearness, overlaps
 from impslam.growing_array import GrowingArray
-from impslam.map import Keyframe, Keyframes
+from impslam.map import Keyframe, Keyframes, session_starts
 from impslam.map_builder import valid_points
 from impslam.maps.grid import PlacedScans
 from impslam.maps.layout import undriven
@@ -172,7 +172,7 @@ class KeyframeLog:
     @property
     def begins(self) -> tuple[int, ...]:
         """The first keyframe of each session."""
-        return (0, *(np.flatnonzero(np.diff(self.sessions)) + 1).tolist()) if len(self) else ()
+        return tuple(np.flatnonzero(session_starts(self.sessions)).tolist())
 
     @property
     def node_before(self) -> Ints:

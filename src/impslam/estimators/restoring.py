@@ -16,12 +16,12 @@ from impslam.estimators.pose_graph import CLOSURE_LENGTH, PoseGraph
 from impslam.geometry.chain import advance
 from impslam.geometry.se2 import between, compose, inverse, motion_lengths
 from impslam.graph.edges import roots
-from impslam.map import Keyframes, Map
+from impslam.map import Keyframes, Map, session_starts
 from impslam.maps.layout import undriven
 from impslam.noise import UNKNOWN
 from impslam.recognition.places import ALIGN_WINDOW
 from impslam.recognition.stored_views import points_view
-from impslam.types import Array, Edges, Ints, Mask
+from impslam.types import Array, Edges, Ints
 
 MAX_HOST_DISTANCE = 0.6
 """m between a dropped keyframe and its host; refinement has moved both by centimetres."""
@@ -83,7 +83,7 @@ def _usable(rows: Keyframes) -> Keyframes:
 
 def _keyframe_log(rows: Keyframes, nodes: Ints) -> KeyframeLog:
     """Return the keyframes as tracked; each session starts at the pose of its first keyframe."""
-    keys, first = KeyframeLog(), _begins(rows.sessions)
+    keys, first = KeyframeLog(), session_starts(rows.sessions)
     node_rows = set(nodes.tolist())
     starts = rows.starts.tolist()
     for k in range(len(rows)):
@@ -97,10 +97,6 @@ def _keyframe_log(rows: Keyframes, nodes: Ints) -> KeyframeLog:
         if k in node_rows and not first[k]:
             keys.mark_node()
     return keys
-
-
-def _begins(sessions: Ints) -> Mask:
-    return np.append(True, sessions[1:] != sessions[:-1])
 
 
 def _drop(keys: KeyframeLog, rows: Keyframes) -> None:
@@ -122,7 +118,7 @@ def _drop(keys: KeyframeLog, rows: Keyframes) -> None:
 def _nodes(rows: Keyframes, edges: Edges, spacing: float) -> Ints:
     """Return the keyframes that are nodes: those with edges, and others `spacing` m apart."""
     steps = motion_lengths(rows.motions, DRIVEN_PER_RADIAN)
-    chosen, since = _begins(rows.sessions), 0.0
+    chosen, since = session_starts(rows.sessions), 0.0
     chosen[edges.i] = chosen[edges.j] = True
     for k, step in enumerate(steps.tolist()):
         since += step
@@ -137,7 +133,7 @@ def _hosts(rows: Keyframes, nodes: Ints, edges: Edges) -> Ints:
     Nodes without an edge were folded into nearby earlier ones.
     """
     hosts, poses = np.arange(len(nodes)), rows.poses[nodes]
-    tied = _begins(rows.sessions)[nodes]
+    tied = session_starts(rows.sessions)[nodes]
     tied[edges.i] = tied[edges.j] = True
     others, placed = np.flatnonzero(tied), rows.placed[nodes]
     for n in np.flatnonzero(~tied & placed).tolist():

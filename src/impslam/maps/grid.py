@@ -80,6 +80,13 @@ class PlacedScans(NamedTuple):
 
 
 @kernel
+def is_at(place: Array, pose: Array) -> bool:
+    """Return whether a robot at a pose (3,) has not moved from a place (3,); never if one is NaN."""
+    apart = math.hypot(pose[0] - place[0], pose[1] - place[1])
+    return bool(apart < STATIONARY[0] and abs(wrap_in_kernel(pose[2] - place[2])) < STATIONARY[1])
+
+
+@kernel
 def _select(scans: PlacedScans, size: float, box: Array, last: Array) -> Ints:
     """Return the decision on each scan: SKIP, DRAW or REJECT.
 
@@ -94,10 +101,7 @@ def _select(scans: PlacedScans, size: float, box: Array, last: Array) -> Ints:
         if not math.isfinite(x0 + y0 + theta):
             out[k] = REJECT
             continue
-        turn = abs(wrap_in_kernel(theta - last[2]))
-        is_stationary = (
-            math.hypot(x0 - last[0], y0 - last[1]) < STATIONARY[0] and turn < STATIONARY[1]
-        )
+        is_stationary = is_at(last, poses[k])
         last[3] = last[3] + 1.0 if is_stationary else 1.0
         if not is_stationary:
             last[:3] = poses[k]

@@ -10,13 +10,14 @@ from pathlib import Path
 from typing import Any
 
 from impslam.extras import install
-from impslam.paths import replacement, written
+from impslam.paths import write_bytes
 from impslam.sweeps.journal import IDENTITY, identity
 from impslam.sweeps.rows import Row
 
 CSV, PARQUET = "runs.csv", "runs.parquet"
 LAST = ("cpu_s", "log_sha256", "config_sha256")
 log = logging.getLogger(__name__)
+_ADVICE = "free disk space or check the folder"
 
 
 def tidy(rows: Iterable[Row]) -> list[Row]:
@@ -63,7 +64,7 @@ def write_table(folder: Path, rows: Iterable[Row]) -> list[Path]:
     lines = csv.writer(text, lineterminator="\n")
     lines.writerow(table)
     lines.writerows(zip(*table.values(), strict=True))
-    _write(folder / CSV, text.getvalue().encode())
+    write_bytes(folder / CSV, text.getvalue().encode(), _ADVICE)
     try:
         write_parquet(folder / PARQUET, table)
     except ImportError:
@@ -92,12 +93,7 @@ def write_parquet(path: Path, table: dict[str, list[Any]]) -> None:
         typed[name] = Array(texts if kind == "string" else values, type=_arrow(kind))
     data = io.BytesIO()
     write(Table.from_pydict(typed), data)
-    _write(path, data.getvalue())
-
-
-def _write(path: Path, data: bytes) -> None:
-    with written(path, "free disk space or check the folder"), replacement(path) as stream:
-        stream.write(data)
+    write_bytes(path, data.getvalue(), _ADVICE)
 
 
 def _arrow(kind: str) -> Any:

@@ -22,6 +22,7 @@ from impslam.tracking.base import Gate, Steps, add_travel, reaches_limit
 from impslam.tracking.beams import BeamColumns, find_beam_features
 from impslam.tracking.carried import begin_place, notice_carried
 from impslam.tracking.contradictions import (
+    CLEARANCE,
     MIN_CONTRADICTED,
     contradicted_share,
     shows_surfaces,
@@ -67,6 +68,9 @@ TURN_CHANGES = (0.0, 1.0, -1.0, 2.0, -2.0)
 MAX_LOCATED_SIGMA = 0.02
 """m, 1 sigma: a scan locates the robot if it alone determines the position better than this, or better than
 odometry does."""
+MAX_ODOMETRY_SIGMA = 0.5 * CLEARANCE
+"""m, 1 sigma of the predicted position: if it is larger, odometry cannot tell which surfaces the last scan
+did not see, since those that it saw end within `CLEARANCE`."""
 MIN_INFORMATION_RATIO = 0.05
 """Smallest ratio of the information along the weakest and the strongest axis: a twentieth of the points
 face along a corridor whose end is in view; fewer are lone points that may be anywhere."""
@@ -259,8 +263,12 @@ def _match(
 
 @kernel
 def _last_scan(beams: BeamColumns, state: State, no_odometry: bool) -> LastScan:
-    """Return the scan matched before, with no ranges if odometry is absent or wrong."""
+    """Return the scan matched before, with no ranges if odometry is absent, wrong or uncertain.
+
+    Then surfaces that fit are all that shows where the robot is.
+    """
     ranges, useless = state.lidar.ranges, no_odometry or is_odometry_wrong(state.faults)
+    useless |= state.prior[0] > MAX_ODOMETRY_SIGMA**2
     return LastScan(ranges[:0] if useless else ranges, state.lidar.pose, beams.geometry)
 
 

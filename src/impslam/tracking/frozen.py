@@ -14,7 +14,7 @@ from impslam.health import PUSHED
 from impslam.tracking.base import Steps
 from impslam.tracking.match_faults import LONG_WINDOW, MIN_MOTION, STATIONARY_SHARE
 from impslam.tracking.match_information import add_along
-from impslam.tracking.matching_state import Settings, State
+from impslam.tracking.matching_state import SECONDS, Settings, State
 from impslam.types import Array
 
 MAX_MOTION = 0.005, 0.01
@@ -47,7 +47,7 @@ def notice_frozen(k: int, duration: float, state: State, settings: Settings, out
     things that come into view show how far it goes, but only if the submaps contain them.
     """
     frozen, velocity = state.frozen, state.velocity
-    seconds = max(state.travelled[2], MIN_SECONDS)
+    seconds = max(state.travelled[SECONDS], MIN_SECONDS)
     if out.reasons[k] == PUSHED and not frozen.is_frozen[0]:
         frozen.is_frozen[0] = True
         axis = math.atan2(velocity[1], velocity[0])

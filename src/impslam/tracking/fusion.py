@@ -8,7 +8,7 @@ from impslam.geometry.algebra import invert
 from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.kernels import kernel
 from impslam.tracking.match_information import add_along
-from impslam.tracking.matching_state import Settings, State
+from impslam.tracking.matching_state import DISTANCE, SECONDS, TURN, Settings, State
 from impslam.types import Array
 
 MIN_MOTION = (0.05, 0.04)
@@ -39,8 +39,8 @@ def fuse(
     product with the best match are written with A = (H + D^-1)^-1, since H has no inverse along a
     corridor.
     """
-    distance = state.travelled[0] + MIN_MOTION[0]
-    turn = state.travelled[1] + MIN_MOTION[1]
+    distance = state.travelled[DISTANCE] + MIN_MOTION[0]
+    turn = state.travelled[TURN] + MIN_MOTION[1]
     d = np.empty(3)
     d[0] = d[1] = 1.0 / (max(settings.drift[0], settings.drift[1]) ** 2 * distance + MIN_SIGMA**2)
     d[2] = 1.0 / (settings.drift[2] ** 2 * distance + settings.drift[3] ** 2 * turn + MIN_SIGMA**2)
@@ -74,7 +74,7 @@ def coast(state: State, located: bool, weakest: float, axis: float) -> None:
     The velocity may be off by `SPEED_SIGMA` while no scan determines it, and the position by that times the
     elapsed time. A scan of information `weakest` along the axis shortens the time by its Kalman gain.
     """
-    seconds = min(state.travelled[2], MAX_COAST)
+    seconds = min(state.travelled[SECONDS], MAX_COAST)
     odds = max(weakest, 0.0) * (SPEED_SIGMA * seconds) ** 2
     state.unlocated[0] = (state.unlocated[0] + seconds) / (1.0 + odds)
     if not located:

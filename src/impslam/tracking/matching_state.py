@@ -12,6 +12,10 @@ from impslam.tracking.stall import StallState
 from impslam.tracking.submaps import Submaps
 from impslam.types import Array, Ints, Mask
 
+DISTANCE, TURN, SECONDS = range(3)  # of `State.travelled`
+POSITION, HEADING = range(2)  # of `State.prior`, `slip` and `reach`
+SHARE, SQUARE, INTERVAL = range(3)  # of `State.averages`
+
 
 class Settings(NamedTuple):
     """Parameters of scan matching; see `ScanToMap`."""

@@ -12,7 +12,15 @@ from impslam.tracking.frozen import remains_frozen
 from impslam.tracking.fusion import MAX_COAST, RATE_SIGMA, SPEED_SIGMA
 from impslam.tracking.learned_odometry import correct, variances
 from impslam.tracking.match_faults import is_slipping
-from impslam.tracking.matching_state import State
+from impslam.tracking.matching_state import (
+    DISTANCE,
+    HEADING,
+    INTERVAL,
+    POSITION,
+    SECONDS,
+    TURN,
+    State,
+)
 from impslam.tracking.reach import widen_after_gap
 from impslam.types import Array
 
@@ -34,27 +42,29 @@ def predict(motions: Motions, k: int, state: State, d_pose: Array) -> bool:
     covariance = motions.covariance[k].copy()
     if no_odometry:
         seconds = min(motions.duration[k], MAX_COAST)
-        state.averages[2] += INTERVAL_MEMORY * (seconds - state.averages[2])
-        seconds = max(seconds, state.averages[2])
+        state.averages[INTERVAL] += INTERVAL_MEMORY * (seconds - state.averages[INTERVAL])
+        seconds = max(seconds, state.averages[INTERVAL])
         d_pose[:], covariance[:] = state.velocity, 0.0
         position, heading = (SPEED_SIGMA * seconds + 0.01) ** 2, (RATE_SIGMA * seconds + 0.01) ** 2
         covariance[0, 0], covariance[1, 1], covariance[2, 2] = position, position, heading
     else:
         d_pose[:] = motions.d_pose[k]
         correct(state.odometry, d_pose)
-    state.travelled[0] += math.hypot(d_pose[0], d_pose[1])
-    state.travelled[1] += abs(d_pose[2])
-    state.travelled[2] += motions.duration[k]
+    state.travelled[DISTANCE] += math.hypot(d_pose[0], d_pose[1])
+    state.travelled[TURN] += abs(d_pose[2])
+    state.travelled[SECONDS] += motions.duration[k]
     before = state.interval[0]
     state.interval[0], state.interval[1] = motions.duration[k], motions.stamps[k] - state.stamp[0]
     state.stamp[0] = motions.stamps[k]
     if not no_odometry:
-        position, heading = variances(state.odometry, state.travelled[0], state.travelled[1])
-    state.prior[0], state.prior[1] = position, heading
+        position, heading = variances(
+            state.odometry, state.travelled[DISTANCE], state.travelled[TURN]
+        )
+    state.prior[POSITION], state.prior[HEADING] = position, heading
     state.slip[:] = 0.0
     if not no_odometry and is_slipping(state.faults):
-        state.slip[0] = (SLIP_SHARE * state.travelled[0]) ** 2
-        state.slip[1] = (SLIP_SHARE * state.travelled[1]) ** 2
+        state.slip[POSITION] = (SLIP_SHARE * state.travelled[DISTANCE]) ** 2
+        state.slip[HEADING] = (SLIP_SHARE * state.travelled[TURN]) ** 2
     advance_pose(state.pose, d_pose)
     advance(state.motion, state.covariance, d_pose, covariance)
     widen_after_gap(state, before, no_odometry)

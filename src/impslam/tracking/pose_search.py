@@ -16,7 +16,7 @@ from impslam.tracking.hypotheses import (
     is_expected,
     search,
 )
-from impslam.tracking.matching_state import Settings, State
+from impslam.tracking.matching_state import HEADING, POSITION, SHARE, SQUARE, Settings, State
 from impslam.tracking.reach import is_after_gap
 from impslam.tracking.reference_scan import LastScan
 from impslam.tracking.submaps import older_map
@@ -52,12 +52,12 @@ def find_pose(
     information of the scan, W (3,) that of the prior with its robust weight there, both in the frame of the
     submaps.
     """
-    submap, usual = older_map(state.submaps), state.averages[0]
+    submap, usual = older_map(state.submaps), state.averages[SHARE]
     position, heading = state.prior + state.slip
     prior = _information(position, heading)
     slack2 = max(SLIP_SIGMAS**2, min(MIN_SLIP[0] ** 2 / position, MIN_SLIP[1] ** 2 / heading))
     weight = settings.match.information * min(1.0, max(usual, 0.05) / USUAL_SHARE) ** 4
-    weight *= min(1.0, USUAL_RMS**2 / state.averages[1])
+    weight *= min(1.0, USUAL_RMS**2 / state.averages[SQUARE])
     how = settings.match
     match = Alignment(how.iterations, how.wide, how.narrow, weight, how.step, slack2)
     trusted = Alignment(how.iterations, how.wide, how.narrow, how.information, how.step, slack2)
@@ -69,11 +69,11 @@ def find_pose(
         )
     if state.evidence.sums[3] > 5.0:
         square = state.evidence.sums[2] / state.evidence.sums[3]
-        state.averages[1] += RMS_MEMORY * (square - state.averages[1])
+        state.averages[SQUARE] += RMS_MEMORY * (square - state.averages[SQUARE])
     if share < SEARCH_BELOW * usual:
         share = search(submap, features, predicted, match, state.pose, state.evidence)
     usable = _usable_share(submap, features, predicted, trusted, share)
-    state.averages[0] += SHARE_MEMORY * (usable - usual)
+    state.averages[SHARE] += SHARE_MEMORY * (usable - usual)
     chi2 = chi2_of(state.pose, predicted)
     H[:] = weight * state.evidence.H
     W[:] = prior / (1.0 + chi2 / slack2)
@@ -110,8 +110,8 @@ def _information(position: float, heading: float) -> Array:
 @kernel
 def _predictions(state: State, last_scan: LastScan) -> PosePrediction:
     """Return the predicted poses of a scan."""
-    pose, usual = state.pose.copy(), state.averages[0]
-    prior = _information(state.prior[0], state.prior[1])
+    pose, usual = state.pose.copy(), state.averages[SHARE]
+    prior = _information(state.prior[POSITION], state.prior[HEADING])
     if is_after_gap(state):
         return PosePrediction(pose, prior, pose, pose, usual, last_scan)
     extrapolated = state.matched.copy()

@@ -15,7 +15,7 @@ from impslam.tracking.fusion import RATE_SIGMA
 from impslam.tracking.hypotheses import MAX_SLIP
 from impslam.tracking.intervals import is_gap
 from impslam.tracking.match_faults import WINDOW
-from impslam.tracking.matching_state import State
+from impslam.tracking.matching_state import HEADING, POSITION, State
 
 
 @kernel
@@ -50,7 +50,7 @@ def widen_after_gap(state: State, before: float, no_odometry: bool) -> None:
         heading = state.covariance[2, 2]
     reach = REACH_SIGMAS * math.sqrt(2.0 * position)
     if reach > MAX_SLIP[0]:
-        state.reach[0] = reach
-        state.reach[1] = min(REACH_SIGMAS * math.sqrt(heading), math.pi)
-        state.prior[0] = max(state.prior[0], position)
-        state.prior[1] = max(state.prior[1], heading)
+        state.reach[POSITION] = reach
+        state.reach[HEADING] = min(REACH_SIGMAS * math.sqrt(heading), math.pi)
+        state.prior[POSITION] = max(state.prior[POSITION], position)
+        state.prior[HEADING] = max(state.prior[HEADING], heading)

@@ -52,7 +52,17 @@ from impslam.tracking.match_information import (
     information,
     remove_spurious,
 )
-from impslam.tracking.matching_state import ScanMatch, Settings, State
+from impslam.tracking.matching_state import (
+    DISTANCE,
+    HEADING,
+    POSITION,
+    SECONDS,
+    SHARE,
+    SQUARE,
+    ScanMatch,
+    Settings,
+    State,
+)
 from impslam.tracking.pose_prediction import predict
 from impslam.tracking.pose_search import SEARCH_BELOW, USUAL_SHARE, find_pose
 from impslam.tracking.reference_scan import LastScan
@@ -94,11 +104,11 @@ def follow(
         at_limit = reaches_limit(gate, d_pose, motions.duration[k])
         in_doubt = state.faults.poor[0] > 0.0
         wanted = at_limit or no_odometry or in_doubt or state.proven[0] > 0.0
-        wanted |= state.reach[0] > 0.0
+        wanted |= state.reach[POSITION] > 0.0
         if wanted or is_due(beams.ranges[k], beams.valid[k], state):
             _use_scan(k, no_odometry, motions, beams, state, settings, out)
         else:
-            out.reasons[k], out.amounts[k] = current_fault(state.faults, state.travelled[2])
+            out.reasons[k], out.amounts[k] = current_fault(state.faults, state.travelled[SECONDS])
         between(before, state.pose, out.moved[k])
         at_limit = reaches_limit(gate, out.moved[k], motions.duration[k])
         at_limit |= notice_carried(beams, k, state, motions.duration[k], out)
@@ -129,7 +139,7 @@ def _use_scan(
         _deskew(k, motions.duration[k], beams, state, settings, features)
     count = _find_features(beams, k, no_odometry, settings, features)
     if count < MIN_POINTS:
-        state.submaps.travelled[0] += state.travelled[0]
+        state.submaps.travelled[0] += state.travelled[DISTANCE]
     else:
         stalled = not no_odometry and predict_stalled(beams, k, state)
         fits = _match(features[:count], k, no_odometry, beams, state, settings, out)
@@ -163,7 +173,7 @@ def _deskew(
     guess, means, best = state.pose.copy(), state.averages.copy(), -1.0
     last = _last_scan(beams, state, True)
     for change in TURN_CHANGES:
-        if is_empty(state.submaps) or best > SEARCH_BELOW * means[0]:
+        if is_empty(state.submaps) or best > SEARCH_BELOW * means[SHARE]:
             break
         trial = state.velocity.copy()
         trial[2] += change * RATE_SIGMA * seconds
@@ -238,18 +248,18 @@ def _match(
     if is_empty(state.submaps):
         return True
     guess, means = state.pose.copy(), state.averages.copy()
-    usual, H, W = means[0], np.empty((3, 3)), np.empty(3)
+    usual, H, W = means[SHARE], np.empty((3, 3)), np.empty(3)
     share = find_pose(features, _last_scan(beams, state, no_odometry), state, settings, H, W)
     if no_odometry:
         remove_spurious(H)
     else:
-        hold_along(H, W, state.averages[1], guess, state.pose)
+        hold_along(H, W, state.averages[SQUARE], guess, state.pose)
     off = np.empty(3)
     between(guess, state.pose, off)
     fit = MatchQuality(state.evidence.sums[0], share, off)
     poor = fits_poorly(state.faults, fit, usual)
     if poor and (not shows_surfaces(features) or _contradicts(beams, k, state, no_odometry)):
-        out.reasons[k], out.amounts[k] = add_misfit(state.faults, state.travelled[2]), share
+        out.reasons[k], out.amounts[k] = add_misfit(state.faults, state.travelled[SECONDS]), share
         state.pose[:], state.averages[:] = guess, means
         return False
     if poor:  # what the scan shows is not in the map yet
@@ -268,7 +278,7 @@ def _last_scan(beams: BeamColumns, state: State, no_odometry: bool) -> LastScan:
     Then surfaces that fit are all that shows where the robot is.
     """
     ranges, useless = state.lidar.ranges, no_odometry or is_odometry_wrong(state.faults)
-    useless |= state.prior[0] > MAX_ODOMETRY_SIGMA**2
+    useless |= state.prior[POSITION] > MAX_ODOMETRY_SIGMA**2
     return LastScan(ranges[:0] if useless else ranges, state.lidar.pose, beams.geometry)
 
 
@@ -278,7 +288,7 @@ def _move(
 ) -> None:
     """Update the state with the motion to a match, fused with the prior, and write that motion."""
     located = MAX_LOCATED_SIGMA**-2
-    enough = located if no_odometry else min(1.0 / state.prior[0], located)
+    enough = located if no_odometry else min(1.0 / state.prior[POSITION], located)
     weakest, strongest, axis = information(match.H)
     well_constrained = weakest > enough and weakest > MIN_INFORMATION_RATIO * strongest
     out.located[k] = match.fit.share >= MIN_FIT * match.usual and well_constrained
@@ -287,7 +297,7 @@ def _move(
     covariance = rotate_covariance(state.covariance, state.matched[2])
     fuse(state, settings, match.guess, match.H, match.W, covariance)
     between(state.matched, state.pose, state.velocity)
-    weight = match.W[0] * (state.prior[0] + state.slip[0])
+    weight = match.W[0] * (state.prior[POSITION] + state.slip[POSITION])
     far = weight < 0.1  # beyond three times the range of full weight
     if no_odometry:
         coast(state, out.located[k], weakest, axis)
@@ -295,7 +305,7 @@ def _move(
     if state.frozen.is_frozen[0]:
         odometry_motion = np.zeros(3)
     out.reasons[k], out.amounts[k] = check_motion(
-        state.faults, odometry_motion, state.velocity, out.located[k], far, state.travelled[2]
+        state.faults, odometry_motion, state.velocity, out.located[k], far, state.travelled[SECONDS]
     )
     out.d_pose[k] = state.velocity
     out.covariance[k] = rotate_covariance(covariance, -state.matched[2])
@@ -328,9 +338,9 @@ def _contradicts(beams: BeamColumns, k: int, state: State, no_odometry: bool) ->
 @kernel
 def _learn(state: State, match: ScanMatch, located: bool) -> None:
     """Learn the bias and noise of odometry from a match."""
-    fit, turned = match.fit, bool(match.H[2, 2] * state.prior[1] > 1.0)
+    fit, turned = match.fit, bool(match.H[2, 2] * state.prior[HEADING] > 1.0)
     plausible = fit.share > 0.6 and not state.lidar.stall.flags[IS_STALLED]
-    plausible = plausible and abs(fit.off[2]) < 4.0 * math.sqrt(state.prior[1])
-    plausible = plausible and abs(fit.off[0]) < 4.0 * math.sqrt(state.prior[0])
-    quality = min(1.0, state.averages[0] / USUAL_SHARE) ** 4
+    plausible = plausible and abs(fit.off[2]) < 4.0 * math.sqrt(state.prior[HEADING])
+    plausible = plausible and abs(fit.off[0]) < 4.0 * math.sqrt(state.prior[POSITION])
+    quality = min(1.0, state.averages[SHARE] / USUAL_SHARE) ** 4
     learn(state.odometry, state.motion, fit.off, plausible, state.pose, quality, (located, turned))

@@ -717,7 +717,7 @@ def test_a_match_is_held_back_as_if_it_had_no_spurious_information(axis):
     W, guess = np.array([prior, prior, 1e4]), np.array([1.0, 2.0, 0.3])
     total = seen + spurious
     pose = guess + 0.1 * total / (total + prior) * along + 0.05 * across
-    hold_along(H, W, rms**2, guess, pose)
+    hold_along(H, W, NORMAL_ERROR * rms, guess, pose)
     expected = guess + 0.1 * seen / (seen + prior) * along + 0.05 * across
     np.testing.assert_allclose(pose, expected, atol=1e-12)
     assert along @ H @ along == pytest.approx(seen)
@@ -727,7 +727,7 @@ def test_a_match_is_held_back_as_if_it_had_no_spurious_information(axis):
 def test_a_match_with_spurious_information_only_stays_where_odometry_is():
     H, W = np.diag([10.0, 1e5, 1e5]), np.full(3, 900.0)
     guess, pose = np.zeros(3), np.array([0.05, 0.03, 0.02])
-    hold_along(H, W, 0.02**2, guess, pose)
+    hold_along(H, W, NORMAL_ERROR * 0.02, guess, pose)
     np.testing.assert_allclose(pose, [0.0, 0.03, 0.02], atol=1e-12)
     assert H[0, 0] == 0.0
 
@@ -740,3 +740,23 @@ def test_a_lidar_alone_goes_on_after_blind_scans():
     _, out, off = drive(poses, unknown(poses), scans)
     assert_near(off[36:], 0.05, 0.02)
     assert out.located[36:].all()
+
+
+def test_a_lidar_alone_goes_on_along_a_wall_whose_ends_are_out_of_sight():
+    """Beams at the visible ends of the wall, with noise of 1 % of the range, must not pull the robot.
+
+    In the median of eight drives of 5 m beyond the view of a corner, the error was 2 to 4 m.
+    """
+    poses = straight(125, start=(0.0, 0.0, 0.0))
+    scans = scans_from(poses, room(-1.5, 9.0, -1.2, 6.0), range_max=3.5)
+    worst = []
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        seen = [(s, s.valid & (rng.random(len(s.ranges)) > 0.02)) for s in scans]
+        noisy = [
+            with_ranges(s, np.where(v, s.ranges * (1 + 0.012 * rng.standard_normal(360)), 0.0), v)
+            for s, v in seen
+        ]
+        _, _, off = drive(poses, unknown(poses), noisy)
+        worst.append(np.abs(off[:, 0]).max())
+    assert np.median(worst) < 1.0

@@ -10,6 +10,9 @@ from impslam.types import Array
 
 NORMAL_ERROR = 3.0
 """rad/m: error of a normal by the scatter of its points, which cover 0.25 to 0.5 m."""
+MAX_NORMAL_ERROR = 18.0
+"""rad/m: that of three points 4 cm apart, the least distance after thinning. Used without odometry: errors
+that pull along a wall change the extrapolated velocity, so they add up from scan to scan."""
 NORMAL_SIGMA = 0.03
 """rad, 1 sigma: error of a normal from three points 0.25 m apart that scatter by 1 cm."""
 
@@ -40,15 +43,15 @@ def remove_spurious(H: Array) -> None:
 
 
 @kernel
-def hold_along(H: Array, W: Array, rms2: float, guess: Array, pose: Array) -> None:
+def hold_along(H: Array, W: Array, normal_error: float, guess: Array, pose: Array) -> None:
     """Correct a match for the spurious information of normals: its H (3, 3), and its pose (3,).
 
-    The normals of points that scatter by r around their surface have errors of `NORMAL_ERROR` r, and the
-    square of that, as a share of a wall's information, appears along the wall. Without it the match would
-    have moved less from odometry's `guess`, of information W (3,), along that axis.
+    The square of the `normal_error` in rad, as a share of a wall's information, appears along the wall.
+    Without it the match would have moved less from the predicted pose `guess`, of information W (3,), along
+    that axis.
     """
     weakest, strongest, axis = information(H)
-    spurious = min(NORMAL_ERROR**2 * rms2 * strongest, weakest)
+    spurious = min(normal_error**2 * strongest, weakest)
     if not spurious > 0.0:
         return
     known, prior = weakest - spurious, W[0]

@@ -77,7 +77,8 @@ class State(NamedTuple):
     stamp : (1,) s, middle of the newest sweep; NaN before the first
     interval : (2,) s from the sweep before it, by odometry and by the stamps; NaN before the second
     intervals : (3,) statistics of those by odometry; see `no_intervals`
-    velocity : (3,) motion between the last two matches
+    velocity : (3,) motion between the last two matches; without odometry, only as far as normals cannot
+        have caused it
     prior : (2,) variances of the predicted pose: m^2 along each axis, rad^2
     slip : (2,) what is added to them for the match while wheels slip
     reach : (2,) m, rad around the predicted pose in which the robot may be, after a gap that odometry does

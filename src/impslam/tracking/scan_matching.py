@@ -46,11 +46,12 @@ from impslam.tracking.match_faults import (
     is_odometry_wrong,
 )
 from impslam.tracking.match_information import (
+    MAX_NORMAL_ERROR,
+    NORMAL_ERROR,
     add_along,
     add_drift,
     hold_along,
     information,
-    remove_spurious,
 )
 from impslam.tracking.matching_state import (
     DISTANCE,
@@ -250,10 +251,11 @@ def _match(
     guess, means = state.pose.copy(), state.averages.copy()
     usual, H, W = means[SHARE], np.empty((3, 3)), np.empty(3)
     share = find_pose(features, _last_scan(beams, state, no_odometry), state, settings, H, W)
-    if no_odometry:
-        remove_spurious(H)
-    else:
-        hold_along(H, W, state.averages[SQUARE], guess, state.pose)
+    found, held, matched = state.pose.copy(), state.pose.copy(), state.matched.copy()
+    per_metre = MAX_NORMAL_ERROR if no_odometry else NORMAL_ERROR
+    hold_along(H, W, per_metre * math.sqrt(state.averages[SQUARE]), guess, held)
+    if not no_odometry:
+        state.pose[:] = held
     off = np.empty(3)
     between(guess, state.pose, off)
     fit = MatchQuality(state.evidence.sums[0], share, off)
@@ -268,6 +270,8 @@ def _match(
     else:
         add_fit(state.faults, fit, usual)
     _move(ScanMatch(guess, fit, usual, H, W), k, no_odometry, state, settings, out)
+    if no_odometry:  # a pull that normals may cause must not change the velocity
+        between(matched, state.pose + held - found, state.velocity)
     return not poor
 
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from impslam.columns import Batch, Columns
 from impslam.geometry.se2 import between, compose, exp, log
-from impslam.types import LaserScan, OdometryPose, WheelAngles
+from impslam.types import LaserScan, OdometryPose, TruePose, WheelAngles
 
 Change = Callable[[Columns], Columns]
 
@@ -118,6 +118,21 @@ def late(seconds: float) -> Change:
     return of(LaserScan, lambda c: with_values(c, stamp=c["stamp"] + seconds))
 
 
+def delayed(scans: int) -> Change:
+    """Show the ranges of so many scans earlier; the first scans repeat the first one."""
+    waiting: list[np.ndarray] = []
+
+    def change(c: Columns) -> Columns:
+        ranges = c["ranges"]
+        if not waiting:
+            waiting.append(np.repeat(ranges[:1], scans, axis=0))
+        ranges = np.concatenate([waiting.pop(), ranges])
+        waiting.append(ranges[len(c) :])
+        return with_values(c, ranges=ranges[: len(c)])
+
+    return of(LaserScan, change)
+
+
 def jitter(seconds: float) -> Change:
     """Stamp scans at random, by a standard deviation of so many s, early or late, twice that at most."""
     rng = np.random.default_rng(0)
@@ -127,6 +142,26 @@ def jitter(seconds: float) -> Change:
         return with_values(c, stamp=c["stamp"] + by)
 
     return of(LaserScan, change)
+
+
+def busy(begin: float, max_wait: float = 0.4, late: float = 0.05, max_late: float = 0.8) -> Change:
+    """Stamp rows several at once from `begin` s on, and some rows up to 0.8 s later still.
+
+    The computer stamps waiting rows at random intervals of up to `max_wait` s; in a share `late` of these
+    turns, the stamps are late by up to `max_late` s more.
+    """
+    rng = np.random.default_rng(0)
+    turns = begin + np.cumsum(rng.uniform(0.0, max_wait, 2000))
+    extra = np.where(rng.uniform(size=2000) < late, rng.uniform(0.0, max_late, 2000), 0.0)
+
+    def change(c: Columns) -> Columns:
+        if c.kind is TruePose:
+            return c
+        turn = np.searchsorted(turns, c.stamps)
+        since = 1e-3 * (c.stamps - turns[turn])  # keeps the order within a turn
+        return with_values(c, stamp=turns[turn] + extra[turn] + since)
+
+    return change
 
 
 def sweep_of(seconds: float) -> Change:

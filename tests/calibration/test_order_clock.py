@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from tests.log_faults import faulty, with_values
+from tests.log_faults import busy, faulty, with_values
 
 from impslam.calibration.calibrate import calibrate, extract_drives
 from impslam.calibration.order_clock import MAX_DISORDER, disorder, reorder_stamps
@@ -12,7 +12,7 @@ from impslam.config import load
 from impslam.simulation.robot import Lidar, SimulatedRobot, WheelEncoders
 from impslam.simulation.simulate import simulate
 from impslam.simulation.world import load_world
-from impslam.types import LaserScan, TruePose
+from impslam.types import LaserScan
 
 CONFIG = load("imp", ["odometry.track=0.44", "odometry.wheel_radius=0.062"])
 
@@ -26,26 +26,6 @@ def log():
         imu=None,
     )
     return [(type(m).__name__, m) for m in simulate(load_world("arena"), robot)]
-
-
-def busy(log, max_wait=0.4, late=0.05, max_late=0.8):
-    """Return batches with rows stamped several at once, and some rows up to 0.8 s later still.
-
-    The computer stamps waiting rows at random intervals of up to `max_wait` s; in a share `late` of these
-    turns, the stamps are late by up to `max_late` s more.
-    """
-    rng = np.random.default_rng(0)
-    turns = log[0][1].stamp + np.cumsum(rng.uniform(0.0, max_wait, 2000))
-    extra = np.where(rng.uniform(size=2000) < late, rng.uniform(0.0, max_late, 2000), 0.0)
-
-    def stamped(columns):
-        if columns.kind is TruePose:
-            return columns
-        turn = np.searchsorted(turns, columns.stamps)
-        since = 1e-3 * (columns.stamps - turns[turn])  # keeps the order within a turn
-        return with_values(columns, stamp=turns[turn] + extra[turn] + since)
-
-    return faulty(batches(log), stamped)
 
 
 def test_ordered_stamps_are_unchanged(log):
@@ -71,10 +51,22 @@ def test_offset_between_devices_is_no_disorder(log):
     assert size == 0.0
 
 
+def test_first_scan_on_another_clock_is_no_disorder(log):
+    """Scans of a computer whose clock is 8 s behind: the first one is placed by its order."""
+
+    def behind(columns):
+        is_scan = columns.kind is LaserScan
+        return with_values(columns, stamp=columns["stamp"] - 8.0) if is_scan else columns
+
+    recording = record_batches(CONFIG, faulty(batches(log), behind))
+    assert recording.scans[0].stamps[0] > recording.scans[0].stamps[1] + 7.0
+    assert reorder_stamps(recording)[1] == 0.0
+
+
 def test_times_by_order_are_better_than_stamps(log):
     """Stamps are off by 0.2 s, times by order by a fifth of that, except for a constant."""
     true = record_batches(CONFIG, batches(log))
-    wrong = record_batches(CONFIG, busy(log))
+    wrong = record_batches(CONFIG, faulty(batches(log), busy(log[0][1].stamp)))
     found, size = reorder_stamps(wrong)
     assert size > MAX_DISORDER
     for before, after, right in zip(
@@ -91,7 +83,12 @@ def test_times_by_order_are_better_than_stamps(log):
 
 def test_calibration_with_disordered_stamps(log):
     """Wheels and mount are within 4 sigma; the latency is not observable and keeps its value."""
-    found = calibrate(CONFIG, extract_drives(CONFIG, record_batches(CONFIG, busy(log)), "log"))
+    found = calibrate(
+        CONFIG,
+        extract_drives(
+            CONFIG, record_batches(CONFIG, faulty(batches(log), busy(log[0][1].stamp))), "log"
+        ),
+    )
     got = {one.name: one for one in found.parameters}
     true = {"wheel_radius": 0.064, "track": 0.41, "x": 0.15, "y": 0.0, "yaw": 0.0}
     for name, value in true.items():

@@ -181,6 +181,19 @@ def test_scan_matching_tolerates_a_lag_of_one_sweep_but_not_of_a_queue(
     assert worst_fault(findings).reason == reason
 
 
+@pytest.mark.parametrize(("scans", "reason"), [(0, NO_FAULT.reason), (6, MISTIMED)])
+def test_late_scans_are_found_by_order_if_stamps_run_back(drive, scans, reason) -> None:
+    """All rows are stamped by a busy computer, up to a second late; the order of the log is right."""
+    begin = drive[0]["LaserScan"].stamps[0] - 1.0
+    wrong = list(faults.faulty(faults.faulty(drive, faults.delayed(scans)), faults.busy(begin)))
+    findings = found(wrong, MATCHED)
+    assert worst_fault(findings).reason == reason
+    late = [one for one in findings if one.kind == "stamps late"]
+    assert len(late) == bool(scans)
+    for finding in late:
+        assert set_by(finding.fix)["sensors.lidar.latency"] == pytest.approx(0.1 * scans, abs=0.1)
+
+
 @pytest.mark.parametrize("seconds", [-8.0, 1.0])
 def test_the_clock_of_another_computer_is_found(drive, seconds) -> None:
     """Nothing synchronises it; it may be off by much more than the delay of any driver."""

@@ -46,8 +46,9 @@ def reorder_stamps(recording: CalibrationRows) -> tuple[CalibrationRows, float]:
     in_file, of_scans, back = stamps[place], place >= split, np.zeros(len(order))
     carried = of_scans[1:] & (in_file[:-1] == in_file[1:])  # poses recorded with scans
     of_scans[:-1] |= carried
-    for rows in (of_scans, ~of_scans):
-        if rows.any():
+    for device in (of_scans, ~of_scans):
+        if device.any():
+            rows = device & (in_file != in_file[device][0])  # the first may be of another clock
             back[rows] = disorder(in_file[rows])
     size = float(np.sqrt(np.mean(back**2))) if len(back) else 0.0
     if size <= MAX_DISORDER:

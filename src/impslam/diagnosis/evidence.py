@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from impslam.calibration.lidar_path import LidarPath, lidar_path, undistorted, unmounted
+from impslam.calibration.order_clock import MAX_DISORDER, reorder_stamps
 from impslam.calibration.recording import CalibrationRows, lidars_of
 from impslam.columns import Columns
 from impslam.config import Config
@@ -41,7 +43,8 @@ class Evidence:
     Attributes
     ----------
     config, name, lidar, odometry : the config, one of its lidars with its name, its odometry
-    recording : the rows of the log; with times by their order if it is `untimed`
+    recording : the rows of the log; with times by their order if it is `untimed`, or if its stamps run back
+        and the turns by laser and by odometry agree better by order
     path : the lidar's path by its scans alone
     samples : scans to check beams with; None if there are too few
     sweep_motions : the motions along it, with stamps as received
@@ -122,16 +125,8 @@ def gather_evidence(config: Config, name: str, recording: CalibrationRows) -> Ev
     robot = config.make_robot()
     lidars = lidars_of(robot)
     lidar = lidars[name]
-    if recording.untimed:
-        recording = in_file_order(recording)
-    path = lidar_path(lidar, recording.scans)
+    recording, path, sweeps, odometer, timing = _best_motions(robot.odometry, lidar, recording)
     samples = beam_samples(lidar, recording.scans, path)
-    sweeps = sweep_motions(undistorted(lidar, recording.scans, path))
-    odometer = make_odometer(
-        robot.odometry, recording.odometry if robot.odometry.measures_motion else ()
-    )
-    untimed = recording.untimed
-    timing = no_timing(sweeps) if untimed else estimate_timing(sweeps, odometer, lidar)
     begins, ends = _known_stretches(sweeps, odometer, timing.stamps)
     times = np.column_stack((timing.stamps[begins], timing.stamps[ends]))
     sums = np.cumsum(sweeps.twists, axis=0)
@@ -151,6 +146,39 @@ def gather_evidence(config: Config, name: str, recording: CalibrationRows) -> Ev
         _sweep_time(lidar, recording.scans), times, lidar_motion, odometry_motion, resolution,
         axis, axle_motion, agreement, _total(odometer), len(lidars) == 1,
     )  # fmt: skip
+
+
+class _Motions(NamedTuple):
+    """A recording, the path by its scans, the motions by laser and by odometry, and their timing."""
+
+    recording: CalibrationRows
+    path: LidarPath
+    sweeps: SweepMotions
+    odometer: Odometer
+    timing: Timing
+
+
+def _best_motions(odometry: Odometry, lidar: Lidar2D, recording: CalibrationRows) -> _Motions:
+    if recording.untimed:
+        return _motions(odometry, lidar, in_file_order(recording), 0.0)
+    found = _motions(odometry, lidar, recording, 0.0)
+    ordered, disorder = reorder_stamps(recording)
+    if disorder <= MAX_DISORDER:
+        return found
+    by_order = _motions(odometry, lidar, ordered, disorder)
+    return by_order if by_order.timing.fits_better(found.timing) else found
+
+
+def _motions(
+    odometry: Odometry, lidar: Lidar2D, recording: CalibrationRows, disorder: float
+) -> _Motions:
+    path = lidar_path(lidar, recording.scans)
+    sweeps = sweep_motions(undistorted(lidar, recording.scans, path))
+    odometer = make_odometer(odometry, recording.odometry if odometry.measures_motion else ())
+    if recording.untimed:
+        return _Motions(recording, path, sweeps, odometer, no_timing(sweeps))
+    timing = estimate_timing(sweeps, odometer, lidar, disorder)
+    return _Motions(recording, path, sweeps, odometer, timing)
 
 
 def confirmed(every: Sequence[Evidence]) -> list[Evidence]:

@@ -8,7 +8,6 @@ import numpy as np
 
 from impslam.diagnosis.evidence import Evidence
 from impslam.diagnosis.finding import Finding, is_off, probability_off
-from impslam.diagnosis.timing import MAX_LAG_ERROR
 from impslam.health import MISTIMED, LogFault
 
 QUEUE_LAG = 0.2
@@ -54,13 +53,14 @@ def _jitter(e: Evidence) -> Finding:
     raw, smooth, period = e.timing.lag, e.timing.smooth, e.timing.period
     assert raw is not None
     assert smooth is not None
+    off = smooth.seconds - e.lidar.latency
     return Finding(
         "stamps jitter",
         f"scans are stamped {1000.0 * e.timing.jitter:.0f} ms (rms) early or late: with a steady period of "
         f"{period:.4g} s, turns fit odometry {raw.rms / smooth.rms:.1f} times as well",
         (f"{e.lidar_key}.period={period:.4g}", f"{e.lidar_key}.latency={smooth.seconds:.3f}"),
-        harmful=not _tolerates_times(e),
-        fault=LogFault(MISTIMED, e.timing.jitter),
+        harmful=not _tolerates_times(e) or is_off(off, smooth.sigma, QUEUE_LAG),
+        fault=LogFault(MISTIMED, max(e.timing.jitter, abs(off))),
         lidar=e.name,
     )
 
@@ -76,7 +76,7 @@ def _late(e: Evidence) -> Finding:
         f"scans are stamped {abs(late.seconds):.3f} ± {max(late.sigma, 1e-3):.3f} s "
         f"{'late' if late.seconds > 0.0 else 'early'} on the clock of odometry{configured}",
         (f"{e.lidar_key}.latency={late.seconds:.3f}",),
-        probability_off(off, late.sigma, MAX_LAG_ERROR),
+        probability_off(off, late.sigma, e.timing.tolerance),
         harmful=not _tolerates_times(e) or is_off(off, late.sigma, QUEUE_LAG),
         fault=LogFault(MISTIMED, abs(off)),
         lidar=e.name,

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from impslam.calibration.order_clock import MAX_DISORDER
 from impslam.diagnosis.finding import is_off
 from impslam.diagnosis.lag import Lag, estimate_lag
 from impslam.diagnosis.travel import Odometer, SweepMotions
@@ -28,8 +29,9 @@ class Timing(NamedTuple):
     period : s, median time between scans; 0 if unknown
     lag : lag of the scans by the stamps of the log; None if it cannot be determined
     smooth : the same with stamps of a steady rate
-    is_late : whether the lag differs from the config
-    jitter : s, rms difference of stamps from a steady rate
+    is_late : whether the lag differs from the config by more than `tolerance`
+    tolerance : s, lag that does no harm, or that stamps which run back could not correct
+    jitter : s, rms difference of stamps from a steady rate; 0 if they run back
     stamps : (m,) s, the better stamps, on the clock of odometry
     """
 
@@ -37,6 +39,7 @@ class Timing(NamedTuple):
     lag: Lag | None
     smooth: Lag | None
     is_late: bool
+    tolerance: float
     jitter: float
     stamps: Array
 
@@ -45,6 +48,11 @@ class Timing(NamedTuple):
         """Whether stamps of a steady rate fit odometry clearly better."""
         return _is_better(self.smooth, self.lag)
 
+    def fits_better(self, other: Timing) -> bool:
+        """Return whether turns fit odometry clearly better than with another timing."""
+        lag = other.smooth if other.jitters else other.lag
+        return self.lag is not None and (lag is None or _is_better(self.lag, lag))
+
 
 def _is_better(smooth: Lag | None, raw: Lag | None) -> bool:
     return smooth is not None and raw is not None and smooth.rms < MAX_JITTER_RATIO * raw.rms
@@ -52,22 +60,31 @@ def _is_better(smooth: Lag | None, raw: Lag | None) -> bool:
 
 def no_timing(motion: SweepMotions) -> Timing:
     """Return the timing of a log without usable stamps, whose times are by order."""
-    return Timing(0.0, None, None, False, 0.0, motion.stamps)
+    return Timing(0.0, None, None, False, MAX_LAG_ERROR, 0.0, motion.stamps)
 
 
-def estimate_timing(motion: SweepMotions, odometer: Odometer, lidar: Lidar2D) -> Timing:
-    """Estimate when the scans of a laser's motions were taken."""
-    steps = np.diff(motion.stamps)
+def estimate_timing(
+    motion: SweepMotions, odometer: Odometer, lidar: Lidar2D, disorder: float
+) -> Timing:
+    """Estimate when the scans of a laser's motions were taken.
+
+    `disorder` is the amount by which the stamps of the log run back, s rms; above `MAX_DISORDER` the times
+    must be those of `reorder_stamps`.
+    """
+    steps, tolerance = np.diff(motion.stamps), max(MAX_LAG_ERROR, disorder)
     period = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
     if not len(odometer.stamps) or not period:
-        return Timing(period, None, None, False, 0.0, motion.stamps - lidar.latency)
+        return Timing(period, None, None, False, tolerance, 0.0, motion.stamps - lidar.latency)
     raw, smooth, steady = estimate_lag(motion, odometer), None, motion.stamps
-    if not lidar.period and raw is not None:
+    if not lidar.period and raw is not None and disorder <= MAX_DISORDER:
         steady = SweepClock(period).smooth(np.ascontiguousarray(motion.stamps))
         smooth = estimate_lag(motion._replace(stamps=steady), odometer)
     jitter = float(np.std(motion.stamps - steady))
     if smooth is not None and _is_better(smooth, raw):
-        return Timing(period, raw, smooth, False, jitter, steady - smooth.seconds)
-    is_late = raw is not None and is_off(raw.seconds - lidar.latency, raw.sigma, MAX_LAG_ERROR)
-    shift = raw.seconds if raw is not None and is_late else lidar.latency
-    return Timing(period, raw, smooth, is_late, jitter, motion.stamps - shift)
+        return Timing(period, raw, smooth, False, tolerance, jitter, steady - smooth.seconds)
+    if raw is None:
+        return Timing(period, None, smooth, False, tolerance, jitter, motion.stamps - lidar.latency)
+    off = raw.seconds - lidar.latency
+    shift = raw.seconds if is_off(off, raw.sigma, MAX_LAG_ERROR) else lidar.latency
+    is_late = is_off(off, raw.sigma, tolerance)
+    return Timing(period, raw, smooth, is_late, tolerance, jitter, motion.stamps - shift)

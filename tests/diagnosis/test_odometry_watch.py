@@ -95,6 +95,13 @@ def test_sound_wheels_give_no_notice(slip):
         assert follow(watch(WHEELS), *drive(seed, minutes=3.0, slip=slip)) == ""
 
 
+def test_wheels_that_read_the_same_all_the_time_give_no_notice():
+    """On a straight drive, odometry's turns, and so their scale, are exactly 0."""
+    steps = np.tile([0.4, 0.0, 0.0], (150, 1))
+    estimated = chained(steps) + ERROR * np.random.default_rng(3).standard_normal((150, 3))
+    assert follow(watch(WHEELS), estimated, chained(steps)) == ""
+
+
 def test_dead_reckoning_gives_no_notice():
     """Dead reckoning in place of an estimate agrees with odometry, whatever the wheels are."""
     _, measured = drive(2, (0.9 * RADIUS, 0.9 * RADIUS, TRACK))

@@ -182,7 +182,7 @@ def _of_wheels(
 ) -> Iterator[str]:
     radius = a._replace(value=1.0 / a.value - 1.0, sigma=a.sigma / a.value**2)
     ratio = d.value / a.value
-    spread = ratio * math.hypot(d.sigma / d.value, a.sigma / a.value)
+    spread = math.hypot(d.sigma, ratio * a.sigma) / a.value
     wide = d._replace(value=ratio - 1.0, sigma=spread)
     unequal = c._replace(value=-track * c.value / a.value, sigma=track * c.sigma / a.value)
     turns_fit = abs(d.value - 1.0) < TURN_SIGMAS * d.sigma

@@ -363,7 +363,7 @@ class Scan:
     origins : (n, 2) m, start of the beam (differs between beams of a moving robot)
     sigmas : (n,) m, standard deviation of the range noise, independent between beams
     bias : m, standard deviation of the error that all beams of this sensor share
-    range_max : m, the largest range that the sensor measures
+    range_max : the largest range that the sensor measures, in its own unit: before scale and offset
     laser : (3,) `T_base_laser`
     intensities : (n,) brightness of the echoes, in the device's unit, or None
     derived : cached results of `derive`; empty in a scan made by `replace`

@@ -8,7 +8,7 @@ import pytest
 from pydantic import ValidationError
 from tests.odometry_steps import stacked
 
-from impslam.columns import Sweeps
+from impslam.columns import Sweeps, single_row
 from impslam.extractors.base import Extractor
 from impslam.geometry.se2 import compose, exp, inverse, transform
 from impslam.sensors.lidar2d import Lidar2D
@@ -81,6 +81,14 @@ def test_deskew_puts_a_moving_robots_points_where_they_are(twist, direction, las
         for wrong in ({"deskew": False}, {"last_beam_first": not last_beam_first}):
             skewed = observe(lidar.model_copy(update=wrong), message, twist)
             assert np.abs(skewed.points - world[order]).max() > 1e-3
+
+
+def test_without_deskewing_no_times_of_beams_are_passed_on():
+    """Trackers that know the motion better would de-skew by them."""
+    message = LaserScan(0.0, np.linspace(-1.0, 1.0, 20), np.full(20, 2.0), 1e-3 * np.arange(20))
+    columns = single_row("", message, 0)[""]
+    assert Lidar2D().sweeps(columns, np.zeros((1, 3))).after is not None
+    assert Lidar2D(deskew=False).sweeps(columns, np.zeros((1, 3))).after is None
 
 
 class Circle:

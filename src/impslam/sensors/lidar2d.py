@@ -160,9 +160,9 @@ class Lidar2D(Sensor):
             np.array([self.range_scale, self.range_offset, low, high]),
             np.array([self.sigma, self.sigma_per_m]),
         )
-        laser = np.array(self.mount)
-        same = self.bias, high, laser, columns["intensities"], after if after.any() else None
-        return Scans(columns.stamps, angles, *parts, *same)
+        same = self.bias, high, np.array(self.mount), columns["intensities"]
+        is_skewed = self.deskew and after.any()
+        return Scans(columns.stamps, angles, *parts, *same, after if is_skewed else None)
 
     def scan(self, message: LaserScan, twist: Array) -> Scan:
         """Return one message as a scan; see `sweeps`."""

@@ -155,6 +155,39 @@ def test_code_for_types_that_were_renamed_is_compiled_again(tmp_path: Path) -> N
         assert output(code, tmp_path) == f"2.0 {hits}\n"
 
 
+PAIR = """
+from typing import NamedTuple
+
+class Inner(NamedTuple):
+    {}: float
+    {}: float
+
+class Outer(NamedTuple):
+    inner: Inner
+"""
+READER = """
+from __future__ import annotations
+from impslam.geometry.kernels import kernel
+from pair import Inner, Outer
+
+@kernel
+def first(outer: Outer) -> float:
+    return outer.inner.first
+
+def call():
+    return first(Outer(Inner(first=1.0, last=2.0))), first.dispatcher.stats.cache_hits.total()
+"""
+
+
+def test_code_is_compiled_again_if_fields_of_another_file_are_exchanged(tmp_path: Path) -> None:
+    """It would read the other field, because machine code reads fields by index."""
+    (tmp_path / "reader.py").write_text(READER)
+    code = "import reader; print(*reader.call())"
+    for fields, hits in ((("first", "last"), 0), (("first", "last"), 1), (("last", "first"), 0)):
+        (tmp_path / "pair.py").write_text(PAIR.format(*fields))
+        assert output(code, tmp_path) == f"1.0 {hits}\n"
+
+
 @pytest.mark.parametrize("suffix", ["nbi", "nbc"])
 def test_damaged_code_is_compiled_again(tmp_path: Path, suffix: str) -> None:
     """As a power loss leaves it: empty, overwritten, cut."""

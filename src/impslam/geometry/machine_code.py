@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import FunctionType
-from typing import Any
+from typing import Any, get_type_hints
 
 from numba.core import environment
 from numba.core.caching import FunctionCache, IndexDataCacheFile
@@ -107,8 +107,8 @@ def warn_once(problem: str) -> None:
 def source_stamp(function: FunctionType) -> str:
     """Return a hash of all source that is compiled into a function.
 
-    It covers the function's file, the files of the kernels that it calls, constants from other modules, and
-    the modules that determine the machine code.
+    It covers the function's file, the files of the kernels that it calls, the fields of the named tuples in
+    their annotations, constants from other modules, and the modules that determine the machine code.
     """
     digest, seen = hashlib.sha256(), {function}
     for module in (borrowing, code_library):
@@ -116,15 +116,24 @@ def source_stamp(function: FunctionType) -> str:
     waiting = [function]
     for caller in waiting:
         digest.update(_file_hash(caller.__code__.co_filename))
-        for name in caller.__code__.co_names:
+        for name in (*caller.__code__.co_names, *map(str, caller.__annotations__.values())):
             value = caller.__globals__.get(name)
             called = getattr(value, "py_func", None)
-            if called is None and isinstance(value, bool | int | float | str | tuple):
+            if isinstance(value, type) and hasattr(value, "_fields"):
+                digest.update(_layout(value).encode())
+            elif called is None and isinstance(value, bool | int | float | str | tuple):
                 digest.update(f"{name} = {value!r}".encode())
             elif called is not None and called not in seen:
                 seen.add(called)
                 waiting.append(called)
     return digest.hexdigest()
+
+
+@functools.cache
+def _layout(kind: Any) -> str:
+    """Return the fields of a named tuple, and of those in it, which machine code reads by index."""
+    parts = [_layout(part) for part in get_type_hints(kind).values() if hasattr(part, "_fields")]
+    return f"{kind.__name__}{kind._fields}{parts}"
 
 
 @functools.cache

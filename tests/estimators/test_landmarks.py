@@ -120,6 +120,7 @@ def test_a_keyframe_without_a_solution_moves_the_robot_and_nothing_else(belief, 
         slam._filter.correct(bad, matches)
     refused = slam.add(keyframe(increment, bad)).refused
     assert "is not used for the map" in refused
+    assert slam.observations()[-1] == ()
     twin.add(keyframe(increment))
     for one in (slam, twin):
         one.add(keyframe(increment, seen))

@@ -75,17 +75,19 @@ class Landmarks(Estimator):
 
     def add(self, keyframe: Keyframe) -> Revision:
         """Process a keyframe; see `Estimator.add`."""
-        self._sightings.add(keyframe.observations, keyframe.stamp)
         self._motion = keyframe.motion
         try:
-            return self._add(keyframe)
+            revision = self._add(keyframe)
         except NumericalError as error:
+            self._sightings.add((), keyframe.stamp)
             self._motion = keyframe.motion
             if is_finite(keyframe.motion):
                 self._filter.predict(keyframe.motion)
                 self._lifecycle.move(keyframe.motion)
             reason = f"the scan at {keyframe.stamp:.3f} s is not used for the map: {error}"
             return self._revision(keyframe, refused=reason)
+        self._sightings.add(keyframe.observations, keyframe.stamp)
+        return revision
 
     def _add(self, keyframe: Keyframe) -> Revision:
         check_keyframe(keyframe)

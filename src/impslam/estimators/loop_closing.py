@@ -18,6 +18,7 @@ from impslam.errors import NumericalError
 from impslam.estimators.keyframe_log import KeyframeLog, revised
 from impslam.estimators.pose_graph import CLOSURE_LENGTH, PoseGraph
 from impslam.geometry.se2 import between
+from impslam.noise import UNKNOWN
 from impslam.parameters import Parameters, parameter
 from impslam.recognition.consistency import Relation, consistent
 from impslam.recognition.correlative import Window
@@ -340,7 +341,8 @@ def agree(one: PendingClosure, other: PendingClosure, graph: PoseGraph) -> bool:
 
 
 def _relation(pending: PendingClosure) -> Relation:
-    return Relation(pending.closure.pose, np.asarray(np.linalg.inv(pending.closure.information)))
+    information = pending.closure.information + np.eye(3) / UNKNOWN  # 0 along a corridor
+    return Relation(pending.closure.pose, np.asarray(np.linalg.inv(information)))
 
 
 def add(pending: PendingClosure, graph: PoseGraph) -> bool:

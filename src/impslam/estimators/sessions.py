@@ -274,8 +274,9 @@ def _distinct_closure(comparison: Comparison | None) -> PendingClosure | None:
     closure = None if comparison is None else comparison.closure
     if closure is None or not closure.is_strong:
         return None
-    covariance = np.linalg.inv(closure.closure.information)[:2, :2]
-    return closure if np.linalg.eigvalsh(covariance)[-1] < MAX_SIGMA**2 else None
+    H = closure.closure.information
+    position = H[:2, :2] - np.outer(H[:2, 2], H[2, :2]) / H[2, 2]  # whatever the heading
+    return closure if np.linalg.eigvalsh(position)[0] > MAX_SIGMA**-2 else None
 
 
 def _placed(closure: PendingClosure, graph: PoseGraph) -> Array:

@@ -14,15 +14,22 @@ from tests.recognition.plans import walls
 from impslam.errors import NumericalError
 from impslam.estimators.graph import Graph
 from impslam.estimators.keyframe_log import revised
-from impslam.estimators.loop_closing import Comparison, LoopCloser, LoopSearch, PendingClosure
+from impslam.estimators.loop_closing import (
+    Comparison,
+    LoopCloser,
+    LoopSearch,
+    PendingClosure,
+    _relation,
+)
 from impslam.estimators.pose_graph import PoseGraph
 from impslam.estimators.sessions import (
     MIN_CLOSURES,
     MIN_SEARCH_DISTANCE,
     MIN_SURPRISING_CLOSURES,
     SessionPlacer,
+    _distinct_closure,
 )
-from impslam.geometry.se2 import between
+from impslam.geometry.se2 import between, rotation
 from impslam.health import ELSEWHERE
 from impslam.map import Map, with_begins
 from impslam.map_builder import MapBuilder, blended
@@ -325,11 +332,35 @@ def test_along_a_bare_corridor_no_place_is_recognised():
     assert revisions[-1].assumed
 
 
-def compared(offset, found):
+def compared(offset, found, information=FIRM):
     """Return a comparison of a node with the map at its place by odometry."""
     support = Support(0.8, 0.9, 0.9, 500)
-    closure = Closure(np.zeros(3), FIRM, support, ClosureStrength.STRONG, 0.9, -np.inf)
+    closure = Closure(np.zeros(3), information, support, ClosureStrength.STRONG, 0.9, -np.inf)
     return Comparison(offset, PendingClosure(0, 9, closure, 0.0) if found else None)
+
+
+@pytest.mark.parametrize("least", [-1e-12, 0.0, 1e-12, 50.0])
+def test_a_closure_along_a_bare_corridor_does_not_tell_the_place(least, rng):
+    """Without noise, rounding decides the sign of the least information there."""
+    for angle in (0.0, 0.5 * np.pi, *rng.uniform(-np.pi, np.pi, 5)):
+        turn = np.eye(3)
+        turn[:2, :2] = rotation(angle)
+        corridor = compared(1.0, True, turn @ np.diag([least, 1e6, 1e7]) @ turn.T)
+        assert _distinct_closure(corridor) is None
+        assert np.isfinite(_relation(corridor.closure).covariance).all()
+    assert _distinct_closure(compared(1.0, True)) is not None
+
+
+def test_the_last_node_before_a_break_is_searched_for_loops(lap, monkeypatch):
+    searched, search = [], LoopCloser.search
+    monkeypatch.setattr(
+        LoopCloser,
+        "search",
+        lambda self, node, *rest: searched.append(node) or search(self, node, *rest),
+    )
+    made = begun(AGAIN[0])
+    driven(made, [*lap[:CUT], broken(lap[CUT]), *lap[CUT + 1 : 2 * CUT]])
+    assert searched == list(range(1, len(made._graph) - 1))
 
 
 @pytest.mark.parametrize(

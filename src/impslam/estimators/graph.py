@@ -104,19 +104,16 @@ class Graph(Estimator):
         if self._may_be_elsewhere(keyframe):
             keyframe = as_session_start(keyframe)
         used, refused = _usable(keyframe)
+        moved, failed = False, ""
+        if used.lost:  # nothing more will be seen around the newest node
+            moved, failed = self._try_to_close_loops(len(self._graph) - 1, keyframe.stamp)
         self._extend_chain(used, keyframe.motion)
-        moved = False
         dropped: tuple[int, ...] = ()
         if self._add_node_if_due():
             dropped = self._thinner.thin(self._keys, self._graph)
-            try:
-                moved = self._close_loops(len(self._graph) - 2)
-            except NumericalError as error:
-                failed = f"no loop is closed at {keyframe.stamp:.3f} s: {error}"
-                refused = "; ".join(filter(None, (refused, failed)))
-                moved = bool(self._graph.roots[-1] != 0)  # nodes may be separated
+            moved, failed = self._try_to_close_loops(len(self._graph) - 2, keyframe.stamp)
         facts: dict[str, Any] = {
-            "refused": refused,
+            "refused": "; ".join(filter(None, (refused, failed))),
             "dropped": dropped,
             "assumed": self._sessions.is_assumed,
             "contradicted": bool(self._closer.contradicted),
@@ -179,8 +176,16 @@ class Graph(Estimator):
             with suppress(NumericalError):  # such closures are removed
                 self._close_loops(node)
 
+    def _try_to_close_loops(self, node: int, stamp: float) -> tuple[bool, str]:
+        """Search closures of a node; return whether the nodes have moved, and the error if that fails."""
+        try:
+            return self._close_loops(node), ""
+        except NumericalError as error:
+            is_apart = bool(self._graph.roots[-1] != 0)  # nodes may have been separated
+            return is_apart, f"no loop is closed at {stamp:.3f} s: {error}"
+
     def _close_loops(self, node: int) -> bool:
-        """Search closures of a node, which is not the newest; return whether the nodes have moved."""
+        """Search closures of a node that is seen no more; return whether the nodes have moved."""
         if node < 1:
             return False
         keys, graph = self._keys, self._graph

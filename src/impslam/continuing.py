@@ -23,6 +23,7 @@ from impslam.geometry.se2 import between, compose, compose_uncertain, inverse
 from impslam.map import Map, Track
 from impslam.observers.base import Outcome
 from impslam.provenance import fingerprint
+from impslam.sources.base import Problems
 from impslam.types import Array
 
 
@@ -48,6 +49,15 @@ alone do not identify a log: simulators begin at the same stamp, and clocks of r
 CONCLUSIVE = 1.0
 """m or rad; two drives that began at the same stamps differ by more than `ODOMETRY_TOLERANCE` after this
 motion: wheels repeat a metre to no better than some millimetres."""
+
+_EQUAL = (
+    "the first scans have the stamps and the odometry of scans in the map, and are not used; the later "
+    "ones differ, so this is another log than that of the map"
+)
+_PENDING = (
+    "could not be located in the map; its scans are kept in map.imp but are not part of the map: "
+    "continue the map with a log that drives from known places into this one"
+)
 
 _ROWS = (
     "stamps", "T_anchor_base", "covariance", "odometry", "located", "reasons", "amounts",
@@ -126,6 +136,24 @@ class Continuation:
         if self._awaits_keyframe:
             return "it has no keyframe after the scans that are in the map already"
         return ""
+
+    def report(self, log: Path, known: Map, sessions: int, problems: Problems) -> None:
+        """Record scans that are not used, and `sessions` that were not located in the map.
+
+        Raises
+        ------
+        SourceError
+            If there is no other session.
+        """
+        if not known.placed().any():
+            raise SourceError(
+                f"{log}: could not be located in the map; give its approximate start with --start "
+                "x,y, or a log with some 10 m of driving inside the mapped area"
+            )
+        if unused := self.unused:
+            problems.add("scans of the map", _EQUAL, unused)
+        if sessions:
+            problems.add("session", _PENDING, sessions)
 
     def new_parts(self, track: Track) -> Iterator[Track]:
         """Yield the new part of a track, after the tracks that were held back before it."""

@@ -30,7 +30,7 @@ from impslam.geometry.se2 import compose, compose_uncertain
 from impslam.health import CHANGED, NO_FAULT, UNEXPLAINED, LogFault
 from impslam.map import Keyframe, Keyframes, Map, PathRows, T_map_odom, Track
 from impslam.map_builder import MapBuilder, blended
-from impslam.observers.base import Dropped, Observer, Outcome, checked_observers
+from impslam.observers.base import Dropped, Observer, Outcome, checked_observers, finish_all
 from impslam.observers.health import HealthMonitor
 from impslam.open_log import for_continuing, open_log
 from impslam.provenance import fingerprint
@@ -295,10 +295,20 @@ class Run:
         thread while the run continues. The run itself does not change.
         """
         estimate, outcome = self.estimator.draft(), self.outcome(log, "", 0)
-        known = replace(self._builder.map(), observations=self.estimator.observations())
-        return functools.partial(
-            _finished, known, estimate, outcome, self._continuation.logs(outcome, self.scans)
-        )
+        known = self._builder.map()
+        seen = self.estimator.observations()
+        logs = self._continuation.logs(outcome, self.scans)
+        if len(seen) > len(known.keyframes):  # an error interrupted the newest revision
+            partial = replace(self._matched(), about=about(outcome, logs))
+            return lambda: (partial, outcome)
+        known = replace(known, observations=seen)
+        return functools.partial(_finished, known, estimate, outcome, logs)
+
+    def _matched(self) -> Map:
+        """Return the map without what the estimator has of a keyframe that the map has not."""
+        known = self.map()
+        inside = np.maximum(known.edges.i, known.edges.j) < len(known.keyframes)
+        return replace(known, edges=Edges._make(column[inside] for column in known.edges))
 
     def draft_landmarks(self) -> Callable[[], tuple[Landmark, ...]]:
         """Return a function that computes the landmarks as of now; another thread may call it."""
@@ -330,20 +340,9 @@ class Run:
         self.tracker.forget()
         with self.salvaging(source):
             known = self.refined()
-        self._report_pending(source, known)
+        sessions = self.estimator.counts().get("sessions not found", 0)
+        self._continuation.report(source.path, known, sessions, self.problems)
         return self._finish_observers(source, known)
-
-    def _report_pending(self, source: Source, known: Map) -> None:
-        """Record the sessions that were not located in the map; raise if there is no other."""
-        if not known.placed().any():
-            raise SourceError(
-                f"{source.path}: could not be located in the map; give its approximate start with --start "
-                "x,y, or a log with some 10 m of driving inside the mapped area"
-            )
-        if unused := self._continuation.unused:
-            self.problems.add("scans of the map", _EQUAL, unused)
-        if pending := self.estimator.counts().get("sessions not found", 0):
-            self.problems.add("session", _PENDING, pending)
 
     @contextmanager
     def salvaging(self, source: Source) -> Iterator[None]:
@@ -368,10 +367,7 @@ class Run:
         with suppress(Exception, Interrupted):
             return self.refined()
         with suppress(Exception):
-            known = self.map()
-            inside = np.maximum(known.edges.i, known.edges.j) < len(known.keyframes)
-            edges = Edges._make(column[inside] for column in known.edges)
-            return replace(known, edges=edges)
+            return self._matched()
         return self._builder.map()
 
     def _finish_observers(self, source: Source, known: Map, partial: str = "") -> Map:
@@ -380,8 +376,7 @@ class Run:
         )
         outcome = replace(outcome, partial=partial)
         known = replace(known, about=about(outcome, self._continuation.logs(outcome, self.scans)))
-        for observer in self._observers:
-            observer.finish(known, outcome)
+        finish_all(self._observers, known, outcome)
         return known
 
     def _refuse_empty(self, source: Source) -> None:
@@ -415,16 +410,6 @@ class Run:
             health=self._health.health,
             lidar_alone=not self.robot.odometry.measures_motion,
         )
-
-
-_EQUAL = (
-    "the first scans have the stamps and the odometry of scans in the map, and are not used; the later "
-    "ones differ, so this is another log than that of the map"
-)
-_PENDING = (
-    "could not be located in the map; its scans are kept in map.imp but are not part of the map: "
-    "continue the map with a log that drives from known places into this one"
-)
 
 
 def _finished(

@@ -15,7 +15,7 @@ from impslam.config import Config
 from impslam.continuing import begin_with
 from impslam.errors import ConfigError, ImpError
 from impslam.map import Keyframe, Map, PathRows, Revision, Track
-from impslam.observers.base import Observer, checked_observers
+from impslam.observers.base import Observer, checked_observers, finish_all
 from impslam.odometry.synchroniser import MAX_WAIT
 from impslam.open_log import finished, for_continuing
 from impslam.run import Run
@@ -43,7 +43,7 @@ class Slam:
     ----------
     config : a preset's name, a file, or a config
     settings : overrides of the config, each as "key=value"
-    observers : additional observers of the run
+    observers : additional observers of the run; `finish` passes them the map
     progress : called with the number of scans used so far, after each call that used some
     known : a map to continue, or its file; the start of the robot is located in it
     frozen : localise in that map without changing it
@@ -86,7 +86,8 @@ class Slam:
         self._newest = _Newest(placed=begin is None)
         if begin is not None:
             chosen = for_continuing(chosen, settings)
-        self._run = Run(chosen, [self._newest, *checked_observers(observers)], begin)
+        self._observers = list(checked_observers(observers))
+        self._run = Run(chosen, [self._newest, *self._observers], begin)
         self._progress, self._order = progress, 0
         self._newest_stamps: dict[str, float] = {}  # by stream
         self._newest_scans: dict[str, float] = {}  # stamps by stream, of scans alone
@@ -250,7 +251,10 @@ class Slam:
         before = self._run.scans
         self._run.flush()
         self._report_progress(before)
-        return self._run.refined()
+        known = self._run.refined()
+        outcome = self._run.outcome(Path(), "", len(known.landmarks))
+        finish_all(self._observers, known, outcome)
+        return known
 
 
 class _Newest(Observer):

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from impslam.component import shorten
-from impslam.errors import ConfigError
+from impslam.errors import ConfigError, ImpError, in_a_line
 from impslam.health import NO_SCANS, Health
 from impslam.map import Keyframe, Map, PathRows, Revision, Track
 from impslam.types import Array, TruePose
@@ -60,6 +60,12 @@ class Outcome:
     compile_seconds: float = 0.0
 
 
+def require_placed(path: Path, known: Map) -> None:
+    """Raise `ImpError` if no scan of the run is located in the map, so that a file has nothing to show."""
+    if not known.placed().any():
+        raise ImpError(f"{path}: not written, because no scan is located in the map")
+
+
 class Observer:
     """Base class of observers; does nothing.
 
@@ -78,6 +84,20 @@ class Observer:
 
     def finish(self, known: Map, outcome: Outcome) -> None:
         """Receive the map at the end of the run, even if it ended early (`outcome.partial`)."""
+
+
+def finish_all(observers: Iterable[Observer], known: Map, outcome: Outcome) -> None:
+    """Pass the map to all observers; raise the first error of one only after the others have finished."""
+    errors: list[Exception] = []
+    for observer in observers:
+        try:
+            observer.finish(known, outcome)
+        except Exception as error:
+            errors.append(error)
+    if errors:
+        for another in errors[1:]:
+            errors[0].add_note(in_a_line(another))
+        raise errors[0]
 
 
 def checked_observers(observers: Iterable[Observer]) -> list[Observer]:

@@ -257,7 +257,7 @@ class LiveView(Observer):
 
     def _refined(self, shown: Snapshot, known: Map) -> Snapshot:
         """Return a snapshot with the path and the pose of the refined map."""
-        if not len(known.stamps):
+        if not known.placed()[-1:].any():
             return shown
         self._path.move(known.keyframes.poses)
         rows = known.rows()

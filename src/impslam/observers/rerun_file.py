@@ -16,7 +16,7 @@ from impslam.health import Health, describe, state_of
 from impslam.map import Map
 from impslam.maps.files import MapImage, map_image
 from impslam.observers.accuracy import align_truth
-from impslam.observers.base import Outcome
+from impslam.observers.base import Outcome, require_placed
 from impslam.observers.grid_picture import occupancy
 from impslam.observers.history import History, health_of
 from impslam.observers.map_picture import drawn_path, ellipse, pieces
@@ -53,6 +53,7 @@ class RerunFile(TruthRecorder):
 
     def finish(self, known: Map, outcome: Outcome) -> None:
         """Write the recording."""
+        require_placed(self._path, known)
         recording = self._rerun.RecordingStream("impslam")
         try:
             recording.save(self._path)

@@ -10,7 +10,7 @@ from impslam.geometry.se2 import compose, inverse
 from impslam.map import Map
 from impslam.maps.files import map_image
 from impslam.observers import ros_markers, ros_values
-from impslam.observers.base import Observer, Outcome
+from impslam.observers.base import Observer, Outcome, require_placed
 from impslam.observers.history import health_of
 from impslam.sources.mcap_file import LATCHED, McapFile
 from impslam.sources.ros_build import message_types, nanoseconds
@@ -42,6 +42,7 @@ def write_ros_map(path: Path, known: Map, outcome: Outcome) -> None:
     ImpError
         If the file cannot be written, or ROS cannot represent the stamps.
     """
+    require_placed(path, known)
     rows = known.rows()
     at = _chronological(rows.stamps)
     stamps, poses, odometry = rows.stamps[at], rows.poses[at], rows.odometry[at]

@@ -17,7 +17,7 @@ from impslam.health import STATES
 from impslam.map import Map
 from impslam.maps.files import map_image
 from impslam.maps.grid import OccupancyGrid
-from impslam.observers.base import Observer, Outcome
+from impslam.observers.base import Observer, Outcome, require_placed
 from impslam.observers.canvas import Canvas, Picture, colour
 from impslam.observers.history import health_of
 from impslam.observers.map_picture import (
@@ -64,6 +64,7 @@ def write_video(
     ImpError
         If the file cannot be written.
     """
+    require_placed(path, known)
     rows = _rows(known.rows().stamps)
     frames = _Frames(known, outcome)
     writer = _writer(path, frames.size)

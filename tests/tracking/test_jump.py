@@ -14,9 +14,11 @@ from impslam.tracking.beams import Geometry, beam_columns
 from impslam.tracking.contradictions import CLEARANCE, free_ranges
 from impslam.tracking.jump import (
     MAX_INTERVAL,
+    MIN_DOUBTED,
     JumpCheck,
     _is_not_free,
     _view,
+    doubted_share,
     find_change,
     no_past,
 )
@@ -177,6 +179,29 @@ def test_a_person_who_enters_and_leaves_within_a_second_is_left_out():
 def test_scans_that_are_far_apart_in_time_are_not_compared():
     poses, wheels = carried()
     assert not shares(poses, odometry=wheels, interval=1.01 * MAX_INTERVAL).any()
+
+
+def doubts(interval):
+    """Return the shares in doubt of 40 scans, of which the last 20 see a wall 2 m ahead."""
+    past, found = no_past(len(ANGLES)), []
+    for k in range(40):
+        walls = [*WORLD, [(1.0, -1.0), (1.0, 1.0)]] if k >= 20 else WORLD
+        ranges = scan_at((-1.0, 0.0, 0.0), np.array(walls, float))
+        find_change(ranges, np.zeros(3), interval * k, past, GEOMETRY)
+        found.append(doubted_share(past, GEOMETRY))
+    return np.array(found)
+
+
+def test_a_doubt_ends_when_new_points_are_judged():
+    found = doubts(0.1)
+    assert not found[:20].any()
+    assert (found[20:29] > MIN_DOUBTED).all()
+    assert not found[31:].any()
+
+
+def test_nothing_is_in_doubt_if_time_stands_still():
+    """In a log without stamps, a doubt would never end."""
+    assert not doubts(0.0).any()
 
 
 def test_scans_of_two_lidars_are_not_compared_with_each_other():

@@ -172,8 +172,11 @@ def doubted_share(past: PastScans, geometry: Geometry) -> float:
     """Return the share of a scan in doubt, from that scan until its points are judged; else 0.
 
     A doubt begins if much of the newest scan is new, unless it was for each scan, as with bad matches.
+    If time stands still, as in a log without stamps, points are never judged, so there is no doubt.
     """
     new = past.added[0] - 1
+    if new > 0 and past.times[new % MAX_SCANS] <= past.times[(new - 1) % MAX_SCANS]:
+        return 0.0
     share = _changed(new, new, new - 1, past, geometry, empty_box())
     time, doubt = past.times[new % MAX_SCANS], past.doubt
     if share > MIN_DOUBTED:

@@ -324,6 +324,33 @@ def test_scans_without_a_frame_are_reported(entries, tmp_path):
                 entry[2].header.frame_id = "laser"
 
 
+@pytest.mark.parametrize("ros1", [False, True])
+@pytest.mark.parametrize(("chosen", "x"), [("", 0.1), ("rear_laser", -0.2), ("none", 0.1)])
+def test_of_two_lasers_on_one_topic_one_is_read(tmp_path, ros1, chosen, x):
+    """Their scans are equally long, but the mount is that of one of them."""
+    rear = ("base_link", "rear_laser", [-0.2, 0.0, 0.1], ZERO)
+    recipe, types = Recipe(static=(*URDF, rear), ros1=ros1), Types(ros1=ros1)
+    found, _ = drive(load_world("room"), recipe)
+    found = [entry for entry in found if entry[0] < 1.0]
+    others = [
+        (t, topic, dataclasses.replace(m, header=types.header(STAMP + t + 0.05, "rear_laser")))
+        for t, topic, m in found
+        if topic == "/scan"
+    ]
+    log = write(tmp_path / "bag", recipe, sorted([*found, *others], key=lambda entry: entry[0]))
+    _, source = open_log(log, None, [f"source.scan_frame={chosen}"] if chosen else [])
+    with source:
+        scans = [m for m in columns.messages(source.batches()) if isinstance(m, LaserScan)]
+        assert source.mounts()["/scan"].pose[0] == pytest.approx(x)
+    late = 0.05 if x < 0.0 else 0.0
+    np.testing.assert_allclose(
+        [m.stamp for m in scans], STAMP + late + 0.1 * np.arange(10), atol=1e-6
+    )
+    assert source.problems.counts == {"scan of another frame": 10}
+    other = "laser" if x < 0.0 else "rear_laser"
+    assert f"set source.scan_frame={other}" in source.problems.examples["scan of another frame"]
+
+
 def test_a_second_topic_of_the_same_laser_is_not_another_lidar(entries, tmp_path):
     copies = [(t, "/stable", message) for t, topic, message in entries if topic == "/scan"][1:]
     line = read(bag(tmp_path, [*entries, *copies], links(*URDF)))[2]

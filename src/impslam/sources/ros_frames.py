@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
+from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
@@ -29,6 +30,8 @@ BASES = ("base_footprint", "base_link", "base")
 WORLDS = ("map", "world", "earth")
 MAX_MOUNT_DISTANCE = 100.0  # m from base to a laser, more than on any robot
 FIRST_PIECE = " (of a split bag, the first piece has it: give the folder with all pieces)"
+FIRST_SCANS = 200
+"""Scans in which a frame that the user names must occur."""
 LOOK_AHEAD = 30 * 10**9
 """Time after the first scan, ns, in which each transform of a robot is published many times."""
 
@@ -62,10 +65,12 @@ class Frames:
     Attributes
     ----------
     lasers, receivers : frame of each topic of scans, and of each topic of GNSS fixes
+    written : frame of each topic of scans as its messages name it
     """
 
-    def __init__(self, path: Path, bag: Bag, problems: Problems) -> None:
+    def __init__(self, path: Path, bag: Bag, problems: Problems, scan_frame: str = "") -> None:
         self.lasers: dict[str, str] = {}
+        self.written: dict[str, str] = {}
         self.receivers: dict[str, str] = {}
         self._path, self._problems = path, problems
         self._tree, self._sources = FrameTree(), dict[frozenset[str], str]()
@@ -73,14 +78,14 @@ class Frames:
         self._edges: dict[Edge, None] = {}
         self._children: dict[str, str] = {}
         self._end = ""  # where reading of transforms ended early, for messages
-        begin = self._read_sensors(bag)
+        begin = self._read_sensors(bag, _plain(scan_frame))
         self._tree = FrameTree({*self.lasers.values(), *self.receivers.values()})
         publishers = [c for c in bag.connections if c.msgtype in TF_TYPES and c.msgcount]
         self._read(bag, publishers, begin)
 
     # ------------------------------------------------------------------ reading
 
-    def _read_sensors(self, bag: Bag) -> int:
+    def _read_sensors(self, bag: Bag, scan_frame: str) -> int:
         """Read the frames of sensors and odometry; return the log time of the first scan, ns."""
         for connection in bag.connections:
             if connection.msgtype in TYPES["truth"] and not is_truth(connection.topic):
@@ -89,7 +94,7 @@ class Frames:
             elif connection.msgtype in TYPES["fix"]:
                 for message, _ in first_message(bag, connection):
                     self.receivers[connection.topic] = _plain(message.header.frame_id)
-        return self._read_scans(bag)
+        return self._read_scans(bag, scan_frame)
 
     def _read(self, bag: Bag, publishers: Sequence[Connection], begin: int) -> None:
         """Read the transforms."""
@@ -106,14 +111,21 @@ class Frames:
             self._learn(connection.topic, message, time <= begin)
         self._report_reversed()
 
-    def _read_scans(self, bag: Bag) -> int:
-        """Read the frames of the scans; return the log time of the first scan, ns."""
-        times = []
-        for connection in bag.connections:
-            if connection.msgtype in TYPES["scan"]:
-                for message, time in first_message(bag, connection):
-                    self.lasers.setdefault(connection.topic, _plain(message.header.frame_id))
-                    times.append(time)
+    def _read_scans(self, bag: Bag, chosen: str) -> int:
+        """Read the frames of the scans; return the log time of the first scan, ns.
+
+        The frame of a topic is that of its first scan, or the one that is chosen if it has scans in it.
+        """
+        times, scans = [], [c for c in bag.connections if c.msgtype in TYPES["scan"]]
+        for connection in scans:
+            for message, time in first_message(bag, connection):
+                self.written.setdefault(connection.topic, message.header.frame_id)
+                times.append(time)
+        if chosen:
+            for connection, _, message in islice(_decoded(bag, scans), FIRST_SCANS):
+                if _plain(message.header.frame_id) == chosen:
+                    self.written[connection.topic] = message.header.frame_id
+        self.lasers = {topic: _plain(frame) for topic, frame in self.written.items()}
         return min(times, default=0)
 
     def _learn(self, topic: str, message: RosMessage, is_before: bool) -> None:

@@ -45,6 +45,7 @@ from impslam.sources.ros_topics import (
     rival_note,
 )
 from impslam.sources.ros_unread import JointFault, joint_fault, unread_motion
+from impslam.sources.scan_frames import ScanFrames
 from impslam.types import Message
 
 PART_SIZE = 1 << 23  # bytes of messages held at once, plus the one that exceeds it
@@ -67,6 +68,11 @@ class RosBag(Source):
         {},
         "1",
         "topic for scan, wheels, velocity, odometry, imu, fix, image or truth; empty: use none",
+    )
+    scan_frame: str = parameter(
+        "",
+        "1",
+        "frame of the scans to read from a topic with several; empty: that of its first scan",
     )
     left_joint: str = parameter("", "1", "left wheel in JointState; empty: a name containing left")
     right_joint: str = parameter("", "1", "right wheel in JointState; empty: one containing right")
@@ -109,7 +115,9 @@ class RosBag(Source):
     def __enter__(self) -> Self:
         self._bag = Bag(self.path)
         try:
-            frames = self._frames = self._frames or Frames(self.path, self._bag, self._problems)
+            if self._frames is None:
+                self._frames = Frames(self.path, self._bag, self._problems, self.scan_frame)
+            frames = self._frames
             counts = self._usable(self._bag, frames)
             self._defaults = choose(self.path, self.topics, counts, frames.merged)
             self._uses = choose_wanted(self.wanted, counts) | self._defaults
@@ -291,6 +299,7 @@ class RosBag(Source):
         watched = self._frames.publishers(bag, watch.pairs)
         others = [c for c in (*events, *watched) if c not in used]
         topics, odometry = {c.topic for c in used}, self._edge
+        frames = ScanFrames({t: f for t, f in self._frames.written.items() if t in topics})
         self._position = 0
         records: list[NumberedRecord] = []
         size = 0
@@ -302,6 +311,8 @@ class RosBag(Source):
                 continue
             self._position += 1
             if connection.msgtype in TF_TYPES and not (odometry and odometry.is_in(data)):
+                continue
+            if self._is_of_another_frame(frames, connection, data):
                 continue
             if moved := watch.moved(connection.topic):
                 self._report_moved(connection.topic, moved)
@@ -324,6 +335,22 @@ class RosBag(Source):
                 kind = "error on the robot" if event.level >= ERROR else "warning on the robot"
                 text = " ".join(f"{event.name}: {event.msg}".split())
                 self._problems.add(kind, f"{self.path}: {text}")
+
+    def _is_of_another_frame(self, own: ScanFrames, connection: Connection, data: bytes) -> bool:
+        """Return whether a scan is of another lidar than the others of its topic, and report it."""
+        topic, frame = connection.topic, ""
+        with suppress(Exception):  # rosbags may raise anything on damaged data
+            frame = own.other(topic, data, self._open().decoder(connection))
+        if not frame:
+            return False
+        assert self._frames is not None
+        self._problems.add(
+            "scan of another frame",
+            f"{self.path}: {topic} has scans of {frame} and of {self._frames.written[topic]}, which is "
+            f"read; to read the other one, --set source.scan_frame={frame}; to read both, record them "
+            "on topics of their own",
+        )
+        return True
 
     def _report_moved(self, topic: str, moved: str) -> None:
         """Report a scan whose laser has moved since the first scan."""

@@ -56,6 +56,20 @@ def test_small_offsets_are_tolerated(late, turned):
     assert {reason for reason, _ in results(late, turned)} == {NONE}
 
 
+@pytest.mark.parametrize("is_known", [True, False])
+def test_scans_of_two_lidars_in_turn_do_not_show_a_turned_mount(is_known):
+    """The second one scans 1 ms after the first, and its mount is 15 mm off to the side."""
+    offsets, found, turns = initial_offsets(), [], RNG.normal(0.0, 0.02, 400)
+    for k in range(400):
+        is_second = k % 2
+        odometry = np.array([0.0 if is_second else 0.03, 0.0, 0.0 if is_second else turns[k]])
+        seen = odometry + np.array([0.0, 0.015 if is_second else -0.015, 0.0])
+        offsets.changed[0] = is_known
+        period = 0.001 if is_second else 0.199
+        found.append(check_offsets(offsets, odometry, seen, period)[0])
+    assert (MISALIGNED in found) is not is_known
+
+
 @pytest.mark.parametrize("turned", [5.0, -5.0, 10.0])
 def test_a_turned_mount_is_reported_within_a_few_metres(turned):
     found = results(turned=turned)

@@ -19,7 +19,7 @@ import numpy as np
 
 from impslam.geometry.kernels import kernel
 from impslam.health import MISALIGNED, MISTIMED, NONE
-from impslam.types import Array, Ints
+from impslam.types import Array, Ints, Mask
 
 LAGS = 0.1 * np.arange(-5, 6)
 """s, lags of the scans that are compared; 0 is the one in the middle. Between matches the heading is
@@ -74,6 +74,7 @@ class Offsets(NamedTuple):
         between scans and odometry
     steps : (2,) number of the motions, and their distance in m
     newest : (2,) reason and amount of the newest result
+    changed : (1,) whether the next match is of another lidar than the last one
     """
 
     history: Array
@@ -84,6 +85,7 @@ class Offsets(NamedTuple):
     sideways: Array
     steps: Array
     newest: Array
+    changed: Mask
 
 
 def initial_offsets() -> Offsets:
@@ -91,6 +93,7 @@ def initial_offsets() -> Offsets:
     return Offsets(
         np.zeros((3, _CAPACITY)), np.zeros(2, np.int64), np.zeros(len(LAGS)),
         np.zeros(len(LAGS)), np.zeros(2), np.zeros((3, 3)), np.zeros(2), np.zeros(2),
+        np.zeros(1, np.bool_),
     )  # fmt: skip
 
 
@@ -100,13 +103,15 @@ def check_offsets(
 ) -> tuple[int, float]:
     """Update with the motions (3,) between two matches; return a reason and its amount.
 
-    The reason is `MISALIGNED`, with degrees, `MISTIMED`, with s, or `NONE`.
+    The reason is `MISALIGNED`, with degrees, `MISTIMED`, with s, or `NONE`. Motions between scans of two
+    lidars contain the difference of their errors, which is sideways again and again at the same distances.
     """
     if duration > MAX_INTERVAL:
         interrupt(offsets)
     else:
         _add_turns(offsets, odometry[2], scans[2], duration)
-    is_ahead = abs(odometry[1]) <= MAX_SIDEWAYS * abs(odometry[0])
+    is_ahead = abs(odometry[1]) <= MAX_SIDEWAYS * abs(odometry[0]) and not offsets.changed[0]
+    offsets.changed[0] = False
     if is_ahead and abs(scans[0]) < MAX_STEP[0] and abs(scans[2]) < MAX_STEP[1]:
         _add_sideways(offsets, odometry, scans)
     lag, rotation = _lag(offsets), _rotation(offsets)

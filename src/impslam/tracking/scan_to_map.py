@@ -70,6 +70,8 @@ class ScanToMap(Tracker):
     )
     _state: State = PrivateAttr()
     _seen: PerLidar[LidarState] = PrivateAttr()
+    _sensor: str = PrivateAttr("")
+    """The lidar of the newest sweep; "" before the first."""
 
     def model_post_init(self, context: object) -> None:
         """Begin with empty submaps."""
@@ -121,6 +123,8 @@ class ScanToMap(Tracker):
         """Match each sweep with the submaps; see `Tracker.steps`."""
         beams = beam_columns(sweeps.scans, len(sweeps))
         lidar = self._seen.get(sweeps.sensor, beams.ranges.shape[1])
+        self._state.faults.offsets.changed[0] |= self._sensor not in ("", sweeps.sensor)
+        self._sensor = sweeps.sensor
         m = len(sweeps)
         reference, ends, located = np.zeros((3, m), np.bool_)
         out = Steps(

@@ -1,6 +1,6 @@
 """Published pose graphs solved here and by gtsam, and a graph as large as a building's.
 
-    python benchmarks/pose_graphs.py ../shared/data/pose-graphs    # a table as markdown
+    python -m benchmarks.pose_graphs ../shared/data/pose-graphs    # a table as markdown
 
 Times are CPU times of one thread, the minimum of several runs in one process. Our solver starts from
 `initial`; gtsam starts from the same poses and from odometry, with Levenberg-Marquardt to the same
@@ -22,6 +22,7 @@ for _library in ("OPENBLAS", "MKL", "OMP", "TBB"):
     os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
 
 import numpy as np
+from benchmarks.initial_poses import initial
 from scipy.sparse import csc_matrix
 from scipy.sparse.linalg import splu
 
@@ -32,7 +33,6 @@ from impslam.graph.cholesky import empty_factor, factorise, substitute
 from impslam.graph.edges import Costs, linearise
 from impslam.graph.elimination import eliminate
 from impslam.graph.g2o import read_g2o
-from impslam.graph.initial import initial
 from impslam.graph.solve import marginals, solve
 from impslam.types import Array, Edges
 

@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
+from benchmarks.initial_poses import initial
 from tests.graph.pose_graphs import random_graph
 
 from impslam.errors import NumericalError
 from impslam.geometry import se2
 from impslam.geometry.angles import wrap
-from impslam.graph.initial import initial
 from impslam.graph.solve import solve
 from impslam.types import Edges
 

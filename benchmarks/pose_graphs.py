@@ -22,6 +22,7 @@ for _library in ("OPENBLAS", "MKL", "OMP", "TBB"):
     os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
 
 import numpy as np
+from benchmarks.g2o import read_g2o
 from benchmarks.initial_poses import initial
 from scipy.sparse import csc_matrix
 from scipy.sparse.linalg import splu
@@ -32,7 +33,6 @@ from impslam.graph.block_system import empty_system
 from impslam.graph.cholesky import empty_factor, factorise, substitute
 from impslam.graph.edges import Costs, linearise
 from impslam.graph.elimination import eliminate
-from impslam.graph.g2o import read_g2o
 from impslam.graph.solve import marginals, solve
 from impslam.types import Array, Edges
 

@@ -10,12 +10,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from benchmarks.g2o import read_g2o
 from tests.extractors.scans import room
 from tests.maps.drawn import mapped
 from tests.recognition.plans import OFFICE, way
 
 from impslam.evaluation.tum import read_tum
-from impslam.graph.g2o import read_g2o
 from impslam.imported_map import read_grid
 from impslam.map import Map
 from impslam.observers.map_files import MAP_FILES

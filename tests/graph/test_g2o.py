@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from benchmarks.g2o import read_g2o
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from tests.graph.pose_graphs import errors_of, random_graph
@@ -7,7 +8,7 @@ from tests.graph.pose_graphs import errors_of, random_graph
 from impslam.errors import SourceError
 from impslam.geometry.angles import wrap
 from impslam.geometry.se2 import between, compose, inverse
-from impslam.graph.g2o import G2o, read_g2o, write_g2o
+from impslam.graph.g2o import G2o, write_g2o
 
 GOOD = """# a comment
 VERTEX_SE2 7 0 0 0

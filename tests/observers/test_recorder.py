@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from benchmarks.g2o import read_g2o
 from tests.observers import runs
 
 from impslam.errors import ImpError
 from impslam.evaluation.landmark_files import read_true_landmarks
 from impslam.evaluation.tum import read_tum
-from impslam.graph.g2o import read_g2o
 from impslam.imported_map import FREE, OCCUPIED, read_grid
 from impslam.map import Map
 from impslam.maps.landmark_table import read_landmarks

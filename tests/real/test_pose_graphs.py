@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from benchmarks.g2o import read_g2o
 from benchmarks.initial_poses import initial
 
-from impslam.graph.g2o import read_g2o
 from impslam.graph.solve import marginals, solve
 
 pytestmark = pytest.mark.real

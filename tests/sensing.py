@@ -1,7 +1,7 @@
 """What `Robot.sense` does, one message at a time and in plain words: slow, short, without kernels.
 
 Each message is a batch of its own for odometry, clocks and sensors, which have tests of their own; how
-motions and sweeps meet is written out with `Increment`s.
+motions and sweeps meet is written out with `Increment`s, which compose to first order in their errors.
 """
 
 from collections import deque
@@ -10,12 +10,45 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from impslam.columns import single_row
-from impslam.geometry.se2 import compose, exp, inverse, log
+from impslam.geometry.se2 import compose, compose_jacobians, compose_uncertain, exp, inverse, log
 from impslam.odometry.clocks import Clocks
 from impslam.odometry.holding import MAX_ROWS
 from impslam.odometry.stream import OdometryStream
 from impslam.odometry.synchroniser import MAX_DELAY, MAX_WAIT, MIN_DURATION
 from impslam.types import Increment
+
+
+def at_rest(stamp):
+    """Return the increment of a stationary robot."""
+    return Increment(stamp, np.zeros(3), np.zeros((3, 3)))
+
+
+def joined(first, second):
+    """Return an increment followed by another, to first order in the errors."""
+    d_pose, covariance = compose_uncertain(
+        first.d_pose, first.covariance, second.d_pose, second.covariance
+    )
+    return Increment(second.stamp, d_pose, covariance, first.duration + second.duration)
+
+
+def split(whole, fraction):
+    """Split at a fraction in [0, 1] of the duration, at constant twist; `joined` rejoins the parts."""
+    twist = log(whole.d_pose)
+    cut = fraction * whole.duration
+    head = exp(fraction * twist)
+    tail = exp((1.0 - fraction) * twist)
+    middle = whole.stamp - whole.duration + cut
+    first, second = compose_jacobians(head, tail)
+    # Split the covariance so that `joined` restores it: pull it back through the composition of
+    # the two parts, in proportion to their durations.
+    head_cov = np.linalg.solve(first, np.linalg.solve(first, fraction * whole.covariance).T)
+    tail_cov = np.linalg.solve(
+        second, np.linalg.solve(second, (1.0 - fraction) * whole.covariance).T
+    )
+    return (
+        Increment(middle, head, head_cov, cut),
+        Increment(whole.stamp, tail, tail_cov, whole.duration - cut),
+    )
 
 
 class Timeline:
@@ -42,11 +75,11 @@ class Timeline:
         return consume(self.pending.copy(), stamp, stamp == self.last)
 
     def twist(self, begin, end):
-        total = Increment.none(begin)
+        total = at_rest(begin)
         for increment in self.pending:
             if increment.stamp - increment.duration > end:
                 break
-            total = total.then(increment)
+            total = joined(total, increment)
         if total.duration > 0.0 and total.duration >= 0.5 * (end - begin):
             return log(total.d_pose) / total.duration
         last = self.latest
@@ -54,16 +87,16 @@ class Timeline:
 
 
 def consume(pending, stamp, together):
-    total = Increment.none(stamp)
+    total = at_rest(stamp)
     while pending:
         first = pending[0]
         begin = first.stamp - first.duration
         if not together and first.stamp > stamp:
             if begin < stamp:
-                head, pending[0] = first.split((stamp - begin) / first.duration)
-                total = total.then(head)
+                head, pending[0] = split(first, (stamp - begin) / first.duration)
+                total = joined(total, head)
             break
-        total = total.then(pending.popleft())
+        total = joined(total, pending.popleft())
     return replace(total, stamp=stamp)
 
 
@@ -154,13 +187,13 @@ class Reference:
         before = timeline.take(row.begin, row.by_order)
         row.twist = timeline.twist(row.begin, row.end)
         until = min(max(row.begin, row.moment), middle)
-        before = before.then(timeline.take(until))
+        before = joined(before, timeline.take(until))
         since = timeline.take(middle)
-        row.motion = replace(before.then(since), stamp=middle)
+        row.motion = replace(joined(before, since), stamp=middle)
         missing = middle - until - since.duration
         if missing > MIN_DURATION and timeline.newest >= middle:  # an overlapping sweep has used it
             used = Increment(middle, exp(missing * row.twist), np.zeros((3, 3)), missing)
-            since = used.then(since)
+            since = joined(used, since)
         ahead = timeline.ahead(row.moment) if middle != row.moment else since
         row.T_middle_stamp = compose(inverse(since.d_pose), ahead.d_pose)
         row.stamp_covariance = (since.covariance + ahead.covariance) * (middle != row.moment)

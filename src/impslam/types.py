@@ -16,7 +16,6 @@ import numpy as np
 import numpy.typing as npt
 
 from impslam.errors import ShapeError
-from impslam.geometry.se2 import compose_jacobians, compose_uncertain, exp, log
 
 Array: TypeAlias = npt.NDArray[np.float64]
 Ints: TypeAlias = npt.NDArray[np.int64]
@@ -307,41 +306,6 @@ class Increment:
             self.covariance
             if self.systematic is None
             else self.covariance - self.systematic.replaced
-        )
-
-    @staticmethod
-    def none(stamp: float) -> Increment:
-        """Return the increment of a stationary robot."""
-        return Increment(stamp, np.zeros(3), np.zeros((3, 3)))
-
-    def then(self, other: Increment) -> Increment:
-        """Return this increment followed by another, to first order in the errors."""
-        d_pose, covariance = compose_uncertain(
-            self.d_pose, self.covariance, other.d_pose, other.covariance
-        )
-        return Increment(other.stamp, d_pose, covariance, self.duration + other.duration)
-
-    def advance(self, pose: Array, covariance: Array) -> tuple[Array, Array]:
-        """Return a pose (3,) and its covariance (3, 3), both additive in map, after this motion."""
-        return compose_uncertain(pose, covariance, self.d_pose, self.covariance)
-
-    def split(self, fraction: float) -> tuple[Increment, Increment]:
-        """Split at a fraction in [0, 1] of the duration, at constant twist; `then` rejoins the parts."""
-        twist = log(self.d_pose)
-        cut = fraction * self.duration
-        head = exp(fraction * twist)
-        tail = exp((1.0 - fraction) * twist)
-        middle = self.stamp - self.duration + cut
-        first, second = compose_jacobians(head, tail)
-        # Split the covariance so that `then` restores it: pull it back through the composition of
-        # the two parts, in proportion to their durations.
-        head_cov = np.linalg.solve(first, np.linalg.solve(first, fraction * self.covariance).T)
-        tail_cov = np.linalg.solve(
-            second, np.linalg.solve(second, (1.0 - fraction) * self.covariance).T
-        )
-        return (
-            Increment(middle, head, head_cov, cut),
-            Increment(self.stamp, tail, tail_cov, self.duration - cut),
         )
 
 

@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 from tests.numeric import wrapped
 from tests.odometry_steps import StepwiseOdometry, stacked
+from tests.sensing import at_rest, joined
 
 from impslam.component import components
 from impslam.errors import MessageError
 from impslam.geometry.se2 import compose, exp
 from impslam.odometry.stream import OdometryStream
-from impslam.types import Increment, OdometryPose, Steering, Velocity, WheelAngles
+from impslam.types import OdometryPose, Steering, Velocity, WheelAngles
 
 NEEDED = {
     "ackermann": {"wheelbase": 0.5, "encoder_offset": 0.3, "axle": (0.2, 0.1)},
@@ -94,9 +95,9 @@ def test_uncertainty_does_not_depend_on_the_rate(odometry):
     for steps in (1, 10):
         stamps = np.linspace(0.0, 0.05, steps + 1)
         motions = odometry.motions(stacked(reading(odometry.consumes, t) for t in stamps.tolist()))
-        total = Increment.none(0.0)
+        total = at_rest(0.0)
         for k in range(steps):
-            total = total.then(motions.row(k))
+            total = joined(total, motions.row(k))
         found.append(np.diag(total.covariance))
     np.testing.assert_allclose(found[1], found[0], rtol=0.02, atol=1e-9)
 

@@ -7,6 +7,7 @@ import pytest
 from tests.association.scenes import R_POINT, point
 from tests.estimators.test_landmarks import keyframe
 from tests.filters.worlds import MODELS
+from tests.sensing import at_rest
 
 from impslam.association.base import Assignment
 from impslam.association.jcbb import Jcbb
@@ -141,5 +142,5 @@ def test_the_covariance_covers_a_wheel_that_slips(d_pose):
 
 
 def test_a_stationary_robot_does_not_slip():
-    motion = Increment.none(0.0)
+    motion = at_rest(0.0)
     assert not slipped(motion).covariance.any()

@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from tests.sensing import at_rest
 
 from impslam.columns import Columns, Scans, Sweeps
 from impslam.geometry.se2 import between, compose, compose_jacobians, inverse, transform
@@ -11,7 +12,7 @@ from impslam.map import Keyframe, Revision, Track
 from impslam.map_builder import MapBuilder
 from impslam.observers.base import Dropped, Outcome
 from impslam.observers.health import HealthMonitor
-from impslam.types import Increment, Landmark, LaserScan, Match, Observation, Scan, TruePose
+from impslam.types import Landmark, LaserScan, Match, Observation, Scan, TruePose
 
 HALF = 3.0
 ANGLES = np.linspace(-np.pi, np.pi, 90, endpoint=False)
@@ -97,7 +98,7 @@ class Scripted:
         none, grown = np.zeros((3, 3)), np.zeros(3)
         if self._last is not None:
             grown = np.maximum(0.0, np.diag(result.covariance - self._last.covariance))
-        motion = replace(Increment.none(result.stamp), covariance=np.diag(grown))
+        motion = replace(at_rest(result.stamp), covariance=np.diag(grown))
         seen = tuple(Observation("corner", np.zeros(2), np.eye(2)) for _ in result.matches)
         keyframe = Keyframe(
             self._count, result.stamp, motion, result.odometry, none[0],

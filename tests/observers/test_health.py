@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from tests.sensing import at_rest
 
 from impslam.health import (
     AMBIGUOUS,
@@ -27,7 +28,7 @@ from impslam.map import PathRows, Revision
 from impslam.observers.health import HealthMonitor
 from impslam.types import Increment, Match, Observation
 
-STILL = Increment.none(0.0)
+STILL = at_rest(0.0)
 
 
 def watch(spreads, cuts, *, valid=None, reasons=None, located=None, monitor=None, moved=None):

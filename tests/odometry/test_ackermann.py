@@ -10,7 +10,7 @@ from tests.numeric import jacobian
 from tests.odometry_steps import StepwiseOdometry
 
 from impslam.errors import MessageError
-from impslam.geometry.se2 import compose, inverse
+from impslam.geometry.se2 import compose, compose_uncertain, inverse
 from impslam.noise import MotionNoise
 from impslam.odometry.ackermann import Ackermann
 from impslam.odometry.kernels import bicycle, carried
@@ -28,7 +28,9 @@ def drive(car, readings, step=0.025):
     for i, (speed, angle) in enumerate(readings):
         increment = car.update(Steering(i * step, speed, angle))
         if increment is not None:
-            pose, covariance = increment.advance(pose, covariance)
+            pose, covariance = compose_uncertain(
+                pose, covariance, increment.d_pose, increment.covariance
+            )
     return pose, covariance
 
 

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from tests.numeric import wrapped
+from tests.sensing import at_rest, joined, split
 
 from impslam.columns import Motions
 from impslam.geometry.se2 import compose, exp
@@ -51,14 +52,14 @@ def used(synchroniser, waiting):
 
 
 def reference(stamps, until):
-    """Compose the motion at TWIST up to a time by `Increment`, which is tested by itself."""
-    total = Increment.none(stamps[0])
+    """Compose the motion at TWIST up to a time with plain increments."""
+    total = at_rest(stamps[0])
     for a, b in pairwise(stamps):
         whole = Increment(b, exp((b - a) * TWIST), (b - a) * Q, b - a)
         if b <= until:
-            total = total.then(whole)
+            total = joined(total, whole)
         elif a < until:
-            total = total.then(whole.split((until - a) / (b - a))[0])
+            total = joined(total, split(whole, (until - a) / (b - a))[0])
     return total
 
 
@@ -67,10 +68,10 @@ def test_sweeps_at_any_time_get_the_motion_up_to_it(times):
     stamps = np.linspace(0.0, 5.0, 26)
     times = sorted(times)
     got = used(fed(stamps), sweeps(times))
-    pose, total = np.zeros(3), Increment.none(0.0)
+    pose, total = np.zeros(3), at_rest(0.0)
     for k, time in enumerate(times):
         pose = compose(pose, got.motions.d_pose[k])
-        total = total.then(got.motions.row(k))
+        total = joined(total, got.motions.row(k))
         assert np.abs(wrapped(pose - exp(time * TWIST), 2)).max() < 1e-9
         np.testing.assert_allclose(total.covariance, reference(stamps, time).covariance, atol=1e-14)
     assert total.duration == pytest.approx(times[-1])
@@ -85,7 +86,7 @@ def test_the_twist_over_a_sweep_is_that_of_the_motion(time):
 def test_a_part_and_the_rest_compose_to_the_whole():
     whole = reference([0.0, 1.0], 1.0)
     got = used(fed([0.0, 1.0]), sweeps([0.3, 1.0]))
-    again = got.motions.row(0).then(got.motions.row(1))
+    again = joined(got.motions.row(0), got.motions.row(1))
     np.testing.assert_allclose(again.d_pose, whole.d_pose, atol=1e-12)
     np.testing.assert_allclose(again.covariance, whole.covariance, atol=1e-15)
 

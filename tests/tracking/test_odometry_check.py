@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from tests.extractors.scans import cast, room
+from tests.sensing import at_rest
 from tests.tracking.sweeps import motions_of, same, scans_of
 
 from impslam.geometry.se2 import compose
@@ -34,7 +35,7 @@ def drive(odometry, true=STEP, scans=40, lines=ROOM):
         covariance = COVARIANCE if np.any(odometry) else np.zeros((3, 3))
         increment = Increment(k * PERIOD, np.asarray(odometry, float), covariance, PERIOD)
         if k == 0:
-            increment = Increment.none(0.0)
+            increment = at_rest(0.0)
         else:
             pose = compose(pose, true)
         result = checked(check, increment, cast(lines, pose=pose).scan)
@@ -78,7 +79,7 @@ def test_silent_odometry_is_contradicted_as_well():
     """No message comes at all: increments without motion and without duration."""
     check, pose = OdometryCheck(), np.zeros(3)
     for k in range(20):
-        increment = Increment.none(k * PERIOD)
+        increment = at_rest(k * PERIOD)
         result = checked(check, increment, cast(ROOM, pose=pose).scan)
         pose = compose(pose, STEP)
     assert not same(result, increment)

@@ -7,6 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from tests.extractors.scans import URG_ANGLES, cast, room, with_ranges
+from tests.sensing import joined
 from tests.tracking.sweeps import motions_of, steps, sweeps_of
 
 from impslam.geometry.algebra import invert, rotate_covariance, solve
@@ -402,7 +403,9 @@ def ends(out):
     T, spread, error = np.zeros(3), np.zeros((3, 3)), np.zeros((3, 3))
     for k in np.flatnonzero(out.reference):
         error = rotate_covariance(out.error[k], T[2])
-        increment = Increment(0.0, T, spread).then(Increment(0.0, out.d_pose[k], out.covariance[k]))
+        increment = joined(
+            Increment(0.0, T, spread), Increment(0.0, out.d_pose[k], out.covariance[k])
+        )
         T, spread = increment.d_pose, increment.covariance
     return T, spread + error
 

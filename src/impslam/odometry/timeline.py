@@ -101,7 +101,7 @@ def _exp(twist: Array, share: float, out: Array) -> None:
 
 @kernel
 def _split(whole: Array, fraction: float, head: Array, tail: Array) -> None:
-    """Split a motion at a fraction of its duration, at constant twist; see `Increment.split`.
+    """Split a motion at a fraction of its duration, at constant twist.
 
     Each part has its share of the covariance, pulled back through the composition of the two, so
     that `compose` restores it. `tail` may be `whole` itself.

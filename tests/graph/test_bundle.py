@@ -13,7 +13,6 @@ from impslam.graph.bundle import (
     RefinementSettings,
     linearise,
     linearise_pair,
-    pair_edges,
     refine,
 )
 from impslam.graph.overlaps import Nearness, overlaps
@@ -228,7 +227,9 @@ def test_the_covariance_covers_the_errors(sigma, shared):
         done = refine(
             truth, scans_at(truth, noise=noise), edges, pairs, fit=RefinementSettings(rounds=4)
         )
-        points = pair_edges(done)
+        i, j = pairs.T
+        T_i_j = se2.between(done.poses[i], done.poses[j])
+        points = Edges(i, j, T_i_j, done.information, np.full(len(i), np.inf))
         both = Edges(*(np.concatenate(column) for column in zip(edges, points, strict=True)))
         P = marginals(done.poses, both, np.array([0]))
         e = done.poses - truth

@@ -15,10 +15,9 @@ from typing import NamedTuple
 import numpy as np
 
 from impslam.errors import ShapeError
-from impslam.geometry.algebra import between as between_in_kernel
+from impslam.geometry.algebra import between
 from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.kernels import kernel, plain
-from impslam.geometry.se2 import between
 from impslam.graph.bearings import Fans, ScanFeatures, nearest_feature, sort_by_bearing
 from impslam.graph.block_system import (
     BlockSystem,
@@ -37,7 +36,6 @@ __all__ = [
     "RefinementSettings",
     "linearise",
     "linearise_pair",
-    "pair_edges",
     "refine",
 ]
 
@@ -105,10 +103,10 @@ def refine(
     A point counts as a fifth of an independent one with 3 cm of noise: points are 4 cm apart, normals are
     fitted over 25 cm, and errors due to the surface (brightness, texture, angle of incidence) are
     correlated between beams over a similar length. A scan that is in several pairs counts each time in
-    `information`. With both, the covariance of poses (`solve.marginals`, of the edges and of `pair_edges`)
-    covers the errors of simulated scans with 3 cm of independent noise, or half of it plus 1 cm correlated
-    over eight beams, about twice over. Errors common to all scans (a scale of ranges, a bent mount) are not
-    included, and neither are objects that moved between the passes.
+    `information`. With both, the covariance of poses (`solve.marginals`, of the edges and of further ones
+    with the information of the pairs) covers the errors of simulated scans with 3 cm of independent noise,
+    or half of it plus 1 cm correlated over eight beams, about twice over. Errors common to all scans (a
+    scale of ranges, a bent mount) are not included, and neither are objects that moved between the passes.
     """
     is_fixed = np.isin(np.arange(len(poses)), 0 if fixed is None else fixed)
     check_rows(scans.features, scans.starts, len(poses))
@@ -137,17 +135,6 @@ def _check_ids(keyframes: int, pairs: Ints, edges: Edges) -> None:
             raise ShapeError(
                 f"pairs or edges name keyframes that are not among the {keyframes} given"
             )
-
-
-def pair_edges(done: Refinement) -> Edges:
-    """Return the constraints by the points of all pairs as edges, with zero error at the refined poses.
-
-    With the edges that were passed to `refine`, they determine the covariance of the poses. The information
-    of a pair in a bare corridor has no inverse.
-    """
-    i, j = np.ascontiguousarray(done.pairs[:, 0]), np.ascontiguousarray(done.pairs[:, 1])
-    T_i_j = between(done.poses[i], done.poses[j])
-    return Edges(i, j, T_i_j, done.information, np.full(len(i), np.inf))
 
 
 @kernel
@@ -191,7 +178,7 @@ def linearise(
     clear_system(system)
     for row in range(len(system.i)):
         i, j = system.i[row], system.j[row]
-        between_in_kernel(poses[i], poses[j], d)
+        between(poses[i], poses[j], d)
         if row < pairs:
             H = done.information[row]
             found = linearise_pair(fans, i, j, d, limits, H, g)

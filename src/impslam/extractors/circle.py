@@ -10,7 +10,8 @@ from pydantic import model_validator
 from impslam.component import parameter, register
 from impslam.extractors.arcs import find_arcs, neighbours
 from impslam.extractors.base import Extractor
-from impslam.extractors.segmentation import OBJECT_INCIDENCE, beam_spacing, segment
+from impslam.extractors.segmentation import OBJECT_INCIDENCE, segment
+from impslam.surfaces.features import beam_spacing
 from impslam.types import Array, Observation, Scan
 
 
@@ -56,7 +57,7 @@ class Circle(Extractor):
     def extract(self, scan: Scan, rng: np.random.Generator) -> list[Observation]:
         """Return the cylinders of the scan; see `Extractor.extract`."""
         del rng
-        cloud, spacing = segment(scan, OBJECT_INCIDENCE), beam_spacing(scan)
+        cloud, spacing = segment(scan, OBJECT_INCIDENCE), beam_spacing(scan.angles)
         if len(cloud.index) < self.min_points:
             return []
         closed = len(scan.angles) * spacing > 2.0 * math.pi - 0.5 * spacing

@@ -9,11 +9,12 @@ import numpy as np
 
 from impslam.component import parameter, register
 from impslam.extractors.line_segments import Segments
-from impslam.extractors.segmentation import NOISE_SIGMAS, beam_spacing
+from impslam.extractors.segmentation import NOISE_SIGMAS
 from impslam.extractors.split_merge import StraightPieces, covariances
 from impslam.geometry.algebra import eigenvalues
 from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.kernels import kernel
+from impslam.surfaces.features import beam_spacing
 from impslam.types import Array, Ints, Observation, Scan
 
 # Columns of a corner: both pieces; x, y; covariance xx, xy, yy; error by the bias of the ranges (2);
@@ -57,7 +58,8 @@ class Corner(StraightPieces):
         del rng
         segments, good = self._pieces(scan)
         P = covariances(segments, 0.0, self.flatness)
-        limits = math.sin(self.min_angle), self.reach, self.max_sigma, beam_spacing(scan), scan.bias
+        spacing = beam_spacing(scan.angles)
+        limits = math.sin(self.min_angle), self.reach, self.max_sigma, spacing, scan.bias
         rows = _find(segments, good, P, scan.sigmas, scan.laser, limits)
         return [_corner(row, segments) for row in rows]
 

@@ -15,9 +15,9 @@ import numpy as np
 from impslam.component import parameter, register
 from impslam.extractors.base import Extractor
 from impslam.extractors.readings import usable
-from impslam.extractors.segmentation import beam_spacing
 from impslam.geometry.angles import wrap
 from impslam.geometry.polar import to_cartesian
+from impslam.surfaces.features import beam_spacing
 from impslam.types import Array, Ints, Observation, Scan
 
 
@@ -60,7 +60,7 @@ class Reflector(Extractor):
             return []
         steps = np.hypot(*np.diff(scan.points[bright], axis=0).T)
         groups = np.split(bright, np.flatnonzero(steps > self.max_gap) + 1)
-        spacing = beam_spacing(scan)
+        spacing = beam_spacing(scan.angles)
         return [self._beacon(scan, beams, spacing) for beams in groups if self._fits(scan, beams)]
 
     def _fits(self, scan: Scan, beams: Ints) -> bool:

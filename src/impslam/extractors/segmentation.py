@@ -13,6 +13,7 @@ import numpy as np
 
 from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.kernels import kernel
+from impslam.surfaces.features import beam_spacing
 from impslam.types import Array, Ints, Mask, Scan
 
 WALL_INCIDENCE = math.radians(10.0)  # below 10 deg of incidence, range noise dominates the spacing
@@ -114,12 +115,6 @@ def _build_cloud(
     return index, points[index], beams, ranges[index], sigmas[index] ** 2, starts
 
 
-def beam_spacing(scan: Scan) -> float:
-    """Return the mean angle between neighbouring beams, rad; 0 for fewer than two beams."""
-    n = len(scan.angles)
-    return abs(float(scan.angles[-1] - scan.angles[0])) / (n - 1) if n > 1 else 0.0
-
-
 def segment(scan: Scan, grazing: float = WALL_INCIDENCE) -> SegmentedScan:
     """Return the valid points of a scan, split at gaps that no surface at incidence `grazing` explains.
 
@@ -134,7 +129,7 @@ def _segment(scan: Scan, grazing: float) -> SegmentedScan:
             (scan.angles, scan.directions, scan.ranges, scan.sigmas),
             scan.points,
             scan.valid,
-            beam_spacing(scan),
+            beam_spacing(scan.angles),
             grazing,
         )
     )

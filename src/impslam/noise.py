@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from impslam.geometry.kernels import kernel
 from impslam.parameters import Parameters, parameter
 from impslam.types import Array, Mask
 
@@ -20,6 +21,12 @@ MAX_GAP = 3.0
 BIAS_CORRELATION_TIME = 20.0
 """s; where the error of a gyro's bias is taken as random, the variance of the turn grows per second as if
 it were independent after each such time. It lasts longer, but scans correct the heading sooner."""
+
+
+@kernel
+def is_unknown(covariance: Array) -> bool:
+    """Return whether a motion is unknown, from its covariance (3, 3)."""
+    return bool(covariance[0, 0] >= 0.5 * UNKNOWN)  # rounded if cut and composed
 
 
 class SystematicErrors(NamedTuple):

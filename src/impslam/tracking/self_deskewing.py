@@ -14,8 +14,8 @@ from dataclasses import replace
 import numpy as np
 
 from impslam.columns import Motions, Sweeps
-from impslam.geometry.kernels import kernel
-from impslam.noise import UNKNOWN
+from impslam.geometry.kernels import kernel, plain
+from impslam.noise import is_unknown
 from impslam.tracking.fusion import RATE_SIGMA, SPEED_SIGMA
 from impslam.types import Array, Mask
 
@@ -56,7 +56,15 @@ def with_stamps(motions: Motions, sweeps: Sweeps, moved: Array) -> Sweeps:
 
 def unknown(covariances: Array) -> Mask:
     """Return which motions are unknown, from their covariances (m, 3, 3)."""
-    return np.asarray(covariances[:, 0, 0] >= 0.5 * UNKNOWN)  # rounded if cut and composed
+    return _unknown(plain(covariances))
+
+
+@kernel
+def _unknown(covariances: Array) -> Mask:
+    out = np.empty(len(covariances), np.bool_)
+    for k in range(len(covariances)):
+        out[k] = is_unknown(covariances[k])
+    return out
 
 
 @kernel

@@ -39,8 +39,10 @@ class Stopwatch:
     def __call__(self, stage: str) -> Iterator[None]:
         """Measure the duration of a block."""
         begin = time.perf_counter()
-        yield
-        self._add(stage, begin)
+        try:
+            yield
+        finally:
+            self._add(stage, begin)
 
     def each(self, stage: str, items: Iterable[Any]) -> Iterator[Any]:
         """Yield items, and measure how long each takes to compute."""

@@ -77,6 +77,8 @@ def exchange(a: Path, b: Path) -> None:
 
 def _exchanged(a: Path, b: Path) -> bool:
     """Call renameat2(2) with RENAME_EXCHANGE; return whether it succeeded."""
+    if sys.platform != "linux":
+        return False
     import ctypes  # noqa: PLC0415  # 5 ms that nothing else needs
 
     call = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None)

@@ -294,6 +294,13 @@ def test_stamps_that_are_dates(tmp_path: Path, stamp: str, has_header: bool) -> 
 STEPS: dict[str, object] = {"angle_min": 0.0, "angle_step": 0.1}
 
 
+def test_an_empty_stamp_beside_seconds_and_nanoseconds_is_not_read(tmp_path: Path) -> None:
+    """As bag2csv writes a message: a column for each part of it, empty if the part has parts."""
+    head = "rosbagTimestamp,header,seq,stamp,secs,nsecs,frame_id,angle_min,angle_increment,ranges"
+    rows = [f'{k},,{k},,{k},500000000,"laser",0.0,1.0,"[1.0, 2.0, 3.0]"' for k in (1, 2)]
+    assert [scan.stamp for scan in messages(tmp_path, head, *rows)] == [1.5, 2.5]
+
+
 @pytest.mark.parametrize("prefix", ["", "header.stamp.", "stamp_"])
 @pytest.mark.parametrize("names", ["sec,nanosec", "secs,nsecs"])
 def test_stamps_of_whole_seconds_and_nanoseconds(tmp_path: Path, prefix: str, names: str) -> None:

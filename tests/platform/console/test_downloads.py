@@ -12,6 +12,7 @@ import zipfile
 import pytest
 from tests.platform.console.serving import DRIVE, PICTURE, WATCH, serving
 
+from impslam.platform.console import downloads
 from impslam.platform.console.downloads import FixedLengthFileResponse
 from impslam.platform.console.throttle import RESET_TIME
 from impslam.platform.station.log_store import StoredLog
@@ -192,6 +193,13 @@ class TestMapsAndPicture:
     @pytest.mark.parametrize("name", ["linked.zip", "none.zip", "map-20260101-120000", ".zip"])
     def test_nothing_else_is_a_map(self, client, name):
         assert client.get(f"/maps/{name}").status_code == 404
+
+    def test_a_map_that_is_deleted_meanwhile_is_not_found(self, client, monkeypatch):
+        def gone(folder):
+            raise FileNotFoundError(folder)
+
+        monkeypatch.setattr(downloads, "_zipped", gone)
+        assert client.get("/maps/map-20260101-120000.zip").status_code == 404
 
     def test_the_picture(self, client):
         answer = client.get("/camera.jpg")

@@ -120,7 +120,10 @@ class _FileEndpoints:
         folder = maps.get(request.path_params["name"])
         if folder is None:
             return self._not_found(request)
-        zipped = await run_in_threadpool(_zipped, folder)
+        try:
+            zipped = await run_in_threadpool(_zipped, folder)
+        except FileNotFoundError:  # it was deleted meanwhile
+            return self._not_found(request)
         headers = {"content-disposition": f'attachment; filename="{folder.name}.zip"'}
         return StreamingResponse(_blocks(zipped), media_type="application/zip", headers=headers)
 
@@ -142,8 +145,11 @@ class _FileEndpoints:
 
     def _maps(self) -> dict[str, Path]:
         """Return the folders of the maps by name, without links and the recycle bin."""
-        store = self._station.maps
-        return {one.name: store.path(one.name) for one in store.maps()}
+        store, found = self._station.maps, dict[str, Path]()
+        for one in store.maps():
+            with contextlib.suppress(ImpError):  # it was deleted meanwhile
+                found[one.name] = store.path(one.name)
+        return found
 
     def _not_found(self, request: Request) -> Response:
         self._authenticator.refusals.record(

@@ -494,11 +494,17 @@ def test_poses_are_odometry_if_they_are_named(tmp_path: Path, kind: str) -> None
     _, source = open_log(path)
     assert source.problems.examples["unknown odometry"].endswith(
         f"{path}: /pose is not read: if these poses are odometry, not poses in a map, use them with "
-        "--topic odometry=/pose"
+        "--topic odometry=/pose; to compare the path with them, --topic truth=/pose"
     )
     poses = [m for m in read(path, topics={"odometry": "/pose"})[0] if isinstance(m, OdometryPose)]
     assert [m.stamp for m in poses] == [1.0, 2.0]
     np.testing.assert_allclose(poses[0].pose, [1.0, 2.0, 2 * math.asin(0.6)])
+    found, _ = read(path, topics={"truth": "/pose"})
+    truth = [m for m in found if isinstance(m, TruePose)]
+    assert [m.stamp for m in truth] == [1.0, 2.0]
+    np.testing.assert_allclose(truth[0].pose, poses[0].pose)
+    _, source = open_log(path, settings=["source.topics.truth=/pose"])
+    assert "/pose is" not in source.problems.examples.get("unknown odometry", "")
 
 
 def test_measured_velocities_are_read_if_they_are_named(tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from impslam.sources.folders import piece
 from impslam.sources.mount_watch import MountWatch
 from impslam.sources.ros_messages import read_transform
 from impslam.sources.ros_storage import Bag, RosMessage
-from impslam.sources.ros_topics import TF_TYPES, TYPES, is_truth
+from impslam.sources.ros_topics import ODOMETRY_TYPE, TF_TYPES, TYPES, is_truth
 from impslam.sources.static_links import StaticLinks
 from impslam.sources.transforms import FrameTransform, FrameTree, flattened
 from impslam.types import Array
@@ -88,7 +88,7 @@ class Frames:
     def _read_sensors(self, bag: Bag, scan_frame: str) -> int:
         """Read the frames of sensors and odometry; return the log time of the first scan, ns."""
         for connection in bag.connections:
-            if connection.msgtype in TYPES["truth"] and not is_truth(connection.topic):
+            if connection.msgtype == ODOMETRY_TYPE and not is_truth(connection.topic):
                 for message, _ in first_message(bag, connection):
                     self._children[connection.topic] = _plain(message.child_frame_id)
             elif connection.msgtype in TYPES["fix"]:

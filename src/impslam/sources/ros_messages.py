@@ -134,8 +134,8 @@ def read_velocity(message: RosMessage, stamp: float) -> Velocity:
 
 
 def read_truth(message: RosMessage, stamp: float) -> TruePose:
-    """Read the pose of a `nav_msgs/Odometry` written by a simulator or a tracking system."""
-    return TruePose(stamp, _planar(message.pose.pose.position, message.pose.pose.orientation))
+    """Read the pose of a simulator or of motion capture; see `read_odometry` for its types."""
+    return TruePose(stamp, _planar(*_position_and_orientation(message)))
 
 
 def read_transform(message: RosMessage) -> Array:

@@ -27,20 +27,21 @@ Use: TypeAlias = Literal[
     "scan", "wheels", "voltages", "velocity", "odometry", "imu", "fix", "image", "truth"
 ]
 
+ODOMETRY_TYPE = "nav_msgs/msg/Odometry"
 TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 TWIST_TYPES = ("geometry_msgs/msg/TwistStamped", "geometry_msgs/msg/TwistWithCovarianceStamped")
 POSE_TYPES = (
     "geometry_msgs/msg/PoseWithCovarianceStamped",
     "geometry_msgs/msg/PoseStamped",
 )
-"""Odometry only if the user names the topic: most of these poses are goals, or poses in a map."""
+"""Odometry or truth only if the user names the topic: most of these poses are goals, or poses in a map."""
 TYPES: dict[Use, tuple[str, ...]] = {
-    "truth": ("nav_msgs/msg/Odometry",),
+    "truth": (ODOMETRY_TYPE, *POSE_TYPES),
     "scan": ("sensor_msgs/msg/LaserScan", "sensor_msgs/msg/MultiEchoLaserScan"),
     "wheels": ("sensor_msgs/msg/JointState",),
     "voltages": ("geometry_msgs/msg/Vector3Stamped",),
-    "velocity": (*TWIST_TYPES, "nav_msgs/msg/Odometry"),
-    "odometry": ("nav_msgs/msg/Odometry", *TF_TYPES, *POSE_TYPES),
+    "velocity": (*TWIST_TYPES, ODOMETRY_TYPE),
+    "odometry": (ODOMETRY_TYPE, *TF_TYPES, *POSE_TYPES),
     "imu": ("sensor_msgs/msg/Imu",),
     "fix": ("sensor_msgs/msg/NavSatFix",),
     "image": ("sensor_msgs/msg/CompressedImage",),

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from itertools import islice
 from typing import NamedTuple
+
+from rosbags.interfaces import Connection
 
 from impslam.sources.ros_messages import find_joints
 from impslam.sources.ros_storage import Bag
@@ -49,23 +51,27 @@ def joint_fault(bag: Bag, topic: str, joints: tuple[str, str]) -> JointFault | N
     return JointFault(text, any("wheel" in name.lower() for name in names))
 
 
-def unread_motion(bag: Bag, faults: Mapping[str, JointFault]) -> str:
-    """Describe the topics of wheels, velocities and poses; `faults` are those of joints, by topic."""
+def unread_motion(bag: Bag, faults: Mapping[str, JointFault], used: Collection[str]) -> str:
+    """Describe the topics of wheels, velocities and poses that are not used.
+
+    `faults` are those of joints, by topic.
+    """
+    connections = [c for c in bag.connections if c.topic not in used]
     wheels = (f"{t} is not read: {fault.text}" for t, fault in faults.items() if fault.has_wheels)
-    return "; ".join([*wheels, *_velocities(bag), *_poses(bag)])
+    return "; ".join([*wheels, *_velocities(connections), *_poses(connections)])
 
 
-def _poses(bag: Bag) -> Iterator[str]:
-    for (topic, kind), count in sorted(count_messages(bag.connections).items()):
+def _poses(connections: Sequence[Connection]) -> Iterator[str]:
+    for (topic, kind), count in sorted(count_messages(connections).items()):
         if kind in POSE_TYPES and count > 1:  # a single one is a goal, or the start in a map
             yield (
                 f"{topic} is not read: if these poses are odometry, not poses in a map, use them with "
-                f"--topic odometry={topic}"
+                f"--topic odometry={topic}; to compare the path with them, --topic truth={topic}"
             )
 
 
-def _velocities(bag: Bag) -> Iterator[str]:
-    for (topic, kind), count in sorted(count_messages(bag.connections).items()):
+def _velocities(connections: Sequence[Connection]) -> Iterator[str]:
+    for (topic, kind), count in sorted(count_messages(connections).items()):
         if kind in TWIST_TYPES and count and COMMAND not in topic:
             yield (
                 f"{topic} is not read: if these velocities are measured, not commanded, use them with "

@@ -240,7 +240,7 @@ class RosBag(Source):
         frames_only = {c.topic for c in bag.connections if c.msgtype in TF_TYPES} - {odometry}
         self._idle = {topic: fault.text for topic, fault in faults.items()}
         self._idle |= dict.fromkeys(frames_only, "frames")
-        self._unread = unread_motion(bag, faults)
+        self._unread = unread_motion(bag, faults, self.topics.values())
         return {(topic, kind): n for (topic, kind), n in counts.items() if topic not in self._idle}
 
     def _joint_faults(self, bag: Bag) -> dict[str, JointFault]:

@@ -159,6 +159,7 @@ class _Motions(NamedTuple):
 
 
 def _best_motions(odometry: Odometry, lidar: Lidar2D, recording: CalibrationRows) -> _Motions:
+    """Return the motions by the stamps, or by the order of the log where that is the better clock."""
     if recording.untimed:
         return _motions(odometry, lidar, in_file_order(recording), 0.0)
     found = _motions(odometry, lidar, recording, 0.0)

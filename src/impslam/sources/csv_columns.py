@@ -98,9 +98,8 @@ def layout(
         if role not in cells and (found := _find_by_name(plain, names)):
             cells[role] = found
     pair = {role: _find_by_name(plain, names) for role, names in STAMP_PAIR.items()}
-    if "stamp" not in given and all(
-        pair.values()
-    ):  # a column `stamp` beside them is empty in bag2csv
+    # A column `stamp` beside them is empty in files of bag2csv.
+    if "stamp" not in given and all(pair.values()):
         cells |= {role: one for role, one in pair.items() if one}
     if "nanosec" in cells:
         cells["nanosec"] = cells["nanosec"]._replace(factor=UNITS["ns"])

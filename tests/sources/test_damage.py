@@ -138,6 +138,24 @@ def test_the_command_that_unpacks_a_file_works(tmp_path: Path, name: str, comman
     assert len(list(tmp_path.iterdir())) == 2
 
 
+@pytest.mark.parametrize("name", ["log.bag", "log.mcap", "log.db3", "log.csv"])
+def test_a_pointer_of_git_lfs_is_explained(tmp_path: Path, name: str) -> None:
+    text = "version https://git-lfs.github.com/spec/v1\noid sha256:aa20eaef40\nsize 347807744\n"
+    (tmp_path / name).write_text(text)
+    with pytest.raises(
+        SourceError, match=rf"{name}: no known .*; it is a pointer .* `git lfs pull`"
+    ):
+        recognise(tmp_path / name)
+
+
+@pytest.mark.parametrize("name", ["logs.tar.gz", "logs.tgz", "logs.tar.xz"])
+def test_an_archive_is_unpacked_as_one(tmp_path: Path, name: str) -> None:
+    content = b"\xfd7zXZ\x00" if name.endswith("xz") else gzip.compress(b"any")
+    (tmp_path / name).write_bytes(content + bytes(20))
+    with pytest.raises(SourceError, match=rf"unpack it first: tar xf .*{name}$"):
+        recognise(tmp_path / name)
+
+
 @pytest.mark.parametrize("packed", [False, True])
 @pytest.mark.parametrize("kind", [b"\x8dCSensoryFrame\x02\x01", b"\x91CActionCollection\x00"])
 def test_a_binary_rawlog_is_explained(tmp_path: Path, kind: bytes, packed: bool) -> None:

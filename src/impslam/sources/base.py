@@ -259,6 +259,9 @@ _PACKED = {
 """Commands that unpack files, by their first bytes; with the suffix that each requires, or "" if none."""
 
 
+_LFS_POINTER = b"version https://git-lfs"
+
+
 def recognise(path: Path) -> type[Source]:
     """Return the source class for the format of a log, detected from its content.
 
@@ -309,9 +312,11 @@ def _is_log(path: Path) -> bool:
 
 
 def _explain_start(path: Path) -> str:
-    """Say what the first bytes of a file show: that it is packed, or was not written."""
+    """Say what the first bytes of a file show: that it is packed, elsewhere, or was not written."""
     with path.open("rb") as file:
-        start = file.read(16)
+        start = file.read(len(_LFS_POINTER))
+    if start == _LFS_POINTER:
+        return "it is a pointer to a file in Git LFS; `git lfs pull` in its repository gets the log"
     if not any(start):
         return "it begins with zeros: writing was interrupted, or the disk lost the data"
     found = next((how for magic, how in _PACKED.items() if start.startswith(magic)), None)
@@ -320,6 +325,8 @@ def _explain_start(path: Path) -> str:
 
 def _unpacking(command: str, suffix: str, path: Path) -> str:
     """Return the line that unpacks a file; some commands refuse other suffixes than their own."""
+    if ".tar" in path.suffixes or path.suffix == ".tgz":
+        return f"tar xf {path}"
     if suffix and path.suffix != suffix:
         return f"{command} -c {path} > {path}.unpacked"
     return f"{command} -k {path}" if suffix else f"{command} {path}"

@@ -589,6 +589,11 @@ def test_a_log_whose_scans_are_too_far_apart_is_not_compared(drive, config) -> N
     assert "certain" not in str(finding)
 
 
+def test_a_log_without_scans_is_not_said_to_have_too_few(drive) -> None:
+    blind = [{k: c for k, c in batch.items() if c.kind is not LaserScan} for batch in drive]
+    assert diagnose(load("imp"), blind, {}) == []
+
+
 BASE = np.array([0.15, -0.1, math.radians(40.0)])
 """A frame on the robot; it moves sideways when the robot drives ahead."""
 

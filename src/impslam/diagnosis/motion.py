@@ -13,8 +13,8 @@ MIN_MOTION = 5.0
 
 
 def check_motion(e: Evidence) -> Iterator[Finding]:
-    """Report that nothing could be compared, although the robot moved."""
-    if e.agreement is None and e.odometry_total > MIN_MOTION:
+    """Report that nothing could be compared, although the robot moved and the lidar scanned."""
+    if e.agreement is None and e.odometry_total > MIN_MOTION and e.recording.scans:
         yield Finding(
             "not compared",
             f"the scans alone determine the motion over {len(e.lidar_motion)} stretches, of which "

@@ -20,6 +20,7 @@ from impslam.diagnosis.beam_samples import MAX_SCANS, BeamSamples
 from impslam.diagnosis.diagnose import diagnose
 from impslam.diagnosis.evidence import gather_evidence
 from impslam.diagnosis.field_of_view import _beside
+from impslam.diagnosis.file_order import without_repeats
 from impslam.diagnosis.finding import Finding, worst_fault
 from impslam.diagnosis.mount import ahead_of, check_mount
 from impslam.diagnosis.no_return import check_noise
@@ -192,6 +193,19 @@ def test_late_scans_are_found_by_order_if_stamps_run_back(drive, scans, reason) 
     assert len(late) == bool(scans)
     for finding in late:
         assert set_by(finding.fix)["sensors.lidar.latency"] == pytest.approx(0.1 * scans, abs=0.1)
+
+
+def test_scans_that_were_written_twice_count_once_in_the_order_of_a_log(drive) -> None:
+    """Each copy would count as a period of time; scans alone that equal each other are a robot at rest."""
+    once = record_batches(load("imp", [MATCHED]), drive, {}, "lidar")
+    (scans,) = once.scans
+    twice = replace(once, scans=(scans.take(np.repeat(np.arange(len(scans)), 2)),))
+    (found,) = without_repeats(twice).scans
+    np.testing.assert_array_equal(found.stamps, scans.stamps)
+    np.testing.assert_array_equal(found["ranges"], scans["ranges"])
+    resting = scans.take(slice(0, 2)).with_stamps(np.array([0.0, 0.1]))
+    resting["ranges"][:] = 1.0
+    assert len(without_repeats(replace(once, scans=(resting,))).scans[0]) == 2
 
 
 @pytest.mark.parametrize("seconds", [-8.0, 1.0])

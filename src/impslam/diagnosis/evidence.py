@@ -23,7 +23,7 @@ from impslam.diagnosis.agreement import (
     fit_agreement,
 )
 from impslam.diagnosis.beam_samples import BeamSamples, beam_samples
-from impslam.diagnosis.file_order import in_file_order
+from impslam.diagnosis.file_order import in_file_order, without_repeats
 from impslam.diagnosis.timing import Timing, estimate_timing, no_timing
 from impslam.diagnosis.travel import Odometer, SweepMotions, make_odometer, stretches, sweep_motions
 from impslam.odometry.base import Odometry
@@ -163,9 +163,10 @@ def _best_motions(odometry: Odometry, lidar: Lidar2D, recording: CalibrationRows
     if recording.untimed:
         return _motions(odometry, lidar, in_file_order(recording), 0.0)
     found = _motions(odometry, lidar, recording, 0.0)
-    ordered, disorder = reorder_stamps(recording)
+    _, disorder = reorder_stamps(recording)
     if disorder <= MAX_DISORDER:
         return found
+    ordered = reorder_stamps(without_repeats(recording))[0]
     by_order = _motions(odometry, lidar, ordered, disorder)
     return by_order if by_order.timing.fits_better(found.timing) else found
 

@@ -34,6 +34,18 @@ def in_file_order(recording: CalibrationRows) -> CalibrationRows:
     return replace(recording, odometry=odometry, scans=tuple(scans))
 
 
+def without_repeats(recording: CalibrationRows) -> CalibrationRows:
+    """Return a recording without scans that equal the one before, whose rows would count as time."""
+    return replace(recording, scans=tuple(map(_first_copies, recording.scans)))
+
+
+def _first_copies(scans: Columns) -> Columns:
+    before, after = scans["ranges"][:-1], scans["ranges"][1:]
+    is_equal = ((before == after) | (np.isnan(before) & np.isnan(after))).all(axis=1)
+    is_copy = is_equal & (scans.stamps[1:] == scans.stamps[:-1])
+    return scans.take(np.append(True, ~is_copy)) if is_copy.any() else scans
+
+
 def _between(orders: Ints, ticks: Ints) -> Array:
     """Return times (n,) s of rows at these positions (n,) in the log, with scans at others (m,)."""
     following = np.searchsorted(ticks, orders)

@@ -7,12 +7,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from impslam.geometry.kernels import kernel
 from impslam.parameters import Parameters, parameter
 from impslam.types import Array, Mask
 
 UNKNOWN = 1e6
 """m^2: variance of an unknown motion, as for a robot without odometry."""
+
+LEAST_UNKNOWN = 0.5 * UNKNOWN
+"""m^2: variance from which on a motion is unknown; that of one is rounded if it is cut and composed."""
 
 MAX_GAP = 3.0
 """s between two readings or two sweeps; after a longer gap the robot's path is unknown."""
@@ -21,12 +23,6 @@ MAX_GAP = 3.0
 BIAS_CORRELATION_TIME = 20.0
 """s; where the error of a gyro's bias is taken as random, the variance of the turn grows per second as if
 it were independent after each such time. It lasts longer, but scans correct the heading sooner."""
-
-
-@kernel
-def is_unknown(covariance: Array) -> bool:
-    """Return whether a motion is unknown, from its covariance (3, 3)."""
-    return bool(covariance[0, 0] >= 0.5 * UNKNOWN)  # rounded if cut and composed
 
 
 class SystematicErrors(NamedTuple):

@@ -7,7 +7,7 @@ import math
 from impslam.columns import Motions
 from impslam.geometry.chain import advance, advance_pose
 from impslam.geometry.kernels import kernel
-from impslam.noise import is_unknown
+from impslam.noise import LEAST_UNKNOWN
 from impslam.tracking.frozen import remains_frozen
 from impslam.tracking.fusion import MAX_COAST, RATE_SIGMA, SPEED_SIGMA
 from impslam.tracking.learned_odometry import correct, variances
@@ -37,7 +37,7 @@ def predict(motions: Motions, k: int, state: State, d_pose: Array) -> bool:
 
     Frozen odometry is none. Velocity is per sweep, because some logs have stamps that run backwards.
     """
-    no_odometry = is_unknown(motions.covariance[k])
+    no_odometry = bool(motions.covariance[k, 0, 0] >= LEAST_UNKNOWN)
     no_odometry |= remains_frozen(motions.d_pose[k], state)
     covariance = motions.covariance[k].copy()
     if no_odometry:

@@ -14,8 +14,8 @@ from dataclasses import replace
 import numpy as np
 
 from impslam.columns import Motions, Sweeps
-from impslam.geometry.kernels import kernel, plain
-from impslam.noise import is_unknown
+from impslam.geometry.kernels import kernel
+from impslam.noise import LEAST_UNKNOWN
 from impslam.tracking.fusion import RATE_SIGMA, SPEED_SIGMA
 from impslam.types import Array, Mask
 
@@ -56,15 +56,7 @@ def with_stamps(motions: Motions, sweeps: Sweeps, moved: Array) -> Sweeps:
 
 def unknown(covariances: Array) -> Mask:
     """Return which motions are unknown, from their covariances (m, 3, 3)."""
-    return _unknown(plain(covariances))
-
-
-@kernel
-def _unknown(covariances: Array) -> Mask:
-    out = np.empty(len(covariances), np.bool_)
-    for k in range(len(covariances)):
-        out[k] = is_unknown(covariances[k])
-    return out
+    return np.asarray(covariances[:, 0, 0] >= LEAST_UNKNOWN)
 
 
 @kernel

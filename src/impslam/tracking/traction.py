@@ -16,7 +16,7 @@ import numpy as np
 
 from impslam.geometry.kernels import kernel
 from impslam.health import SLIPPED, Reasons
-from impslam.noise import is_unknown
+from impslam.noise import LEAST_UNKNOWN
 from impslam.types import Array
 
 MAX_ACCELERATION = 3.0
@@ -52,7 +52,7 @@ def _widen(duration: Array, d_pose: Array, covariance: Array, state: Array) -> R
     out = np.zeros(len(d_pose), np.int8)
     for k in range(len(d_pose)):
         seconds, distance = duration[k], d_pose[k, 0]
-        if is_unknown(covariance[k]):
+        if covariance[k, 0, 0] >= LEAST_UNKNOWN:
             state[1:4] = 0.0
         elif seconds > 0.0:
             excess = distance - state[0] * seconds

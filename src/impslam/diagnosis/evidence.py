@@ -163,10 +163,9 @@ def _best_motions(odometry: Odometry, lidar: Lidar2D, recording: CalibrationRows
     if recording.untimed:
         return _motions(odometry, lidar, in_file_order(recording), 0.0)
     found = _motions(odometry, lidar, recording, 0.0)
-    _, disorder = reorder_stamps(recording)
+    ordered, disorder = reorder_stamps(without_repeats(recording))
     if disorder <= MAX_DISORDER:
         return found
-    ordered = reorder_stamps(without_repeats(recording))[0]
     by_order = _motions(odometry, lidar, ordered, disorder)
     return by_order if by_order.timing.fits_better(found.timing) else found
 

@@ -40,10 +40,10 @@ def without_repeats(recording: CalibrationRows) -> CalibrationRows:
 
 
 def _first_copies(scans: Columns) -> Columns:
-    before, after = scans["ranges"][:-1], scans["ranges"][1:]
+    rows = 1 + np.flatnonzero(scans.stamps[1:] == scans.stamps[:-1])  # few, so the rest is fast
+    before, after = scans["ranges"][rows - 1], scans["ranges"][rows]
     is_equal = ((before == after) | (np.isnan(before) & np.isnan(after))).all(axis=1)
-    is_copy = is_equal & (scans.stamps[1:] == scans.stamps[:-1])
-    return scans.take(np.append(True, ~is_copy)) if is_copy.any() else scans
+    return scans.take(np.delete(np.arange(len(scans)), rows[is_equal])) if is_equal.any() else scans
 
 
 def _between(orders: Ints, ticks: Ints) -> Array:

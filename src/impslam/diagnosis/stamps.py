@@ -8,6 +8,7 @@ import numpy as np
 
 from impslam.diagnosis.evidence import Evidence
 from impslam.diagnosis.finding import Finding, is_off, probability_off
+from impslam.diagnosis.lag import Lag
 from impslam.health import MISTIMED, LogFault
 
 QUEUE_LAG = 0.2
@@ -59,7 +60,7 @@ def _jitter(e: Evidence) -> Finding:
         f"scans are stamped {1000.0 * e.timing.jitter:.0f} ms (rms) early or late: with a steady period of "
         f"{period:.4g} s, turns fit odometry {raw.rms / smooth.rms:.1f} times as well",
         (f"{e.lidar_key}.period={period:.4g}", f"{e.lidar_key}.latency={smooth.seconds:.3f}"),
-        harmful=not _tolerates_times(e) or is_off(off, smooth.sigma, QUEUE_LAG),
+        harmful=_is_harmful(e, smooth),
         fault=LogFault(MISTIMED, max(e.timing.jitter, abs(off))),
         lidar=e.name,
     )
@@ -77,12 +78,17 @@ def _late(e: Evidence) -> Finding:
         f"{'late' if late.seconds > 0.0 else 'early'} on the clock of odometry{configured}",
         (f"{e.lidar_key}.latency={late.seconds:.3f}",),
         probability_off(off, late.sigma, e.timing.tolerance),
-        harmful=not _tolerates_times(e) or is_off(off, late.sigma, QUEUE_LAG),
+        harmful=_is_harmful(e, late),
         fault=LogFault(MISTIMED, abs(off)),
         lidar=e.name,
     )
 
 
-def _tolerates_times(e: Evidence) -> bool:
-    """Return whether a run follows the scans, and no other lidar's, at whatever times they were taken."""
-    return e.matches_scans and e.is_alone
+def _is_harmful(e: Evidence, lag: Lag) -> bool:
+    """Return whether a lag harms a run.
+
+    One that follows the scans, and no other lidar's, does so at whatever times they were taken. Then only a
+    queue's lag does harm.
+    """
+    tolerates_times = e.matches_scans and e.is_alone
+    return not tolerates_times or is_off(lag.seconds - e.lidar.latency, lag.sigma, QUEUE_LAG)

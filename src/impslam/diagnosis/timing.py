@@ -73,17 +73,16 @@ def estimate_timing(
     """
     steps, tolerance = np.diff(motion.stamps), max(MAX_LAG_ERROR, disorder)
     period = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
-    if not len(odometer.stamps) or not period:
+    raw = estimate_lag(motion, odometer) if len(odometer.stamps) and period else None
+    if raw is None:
         return Timing(period, None, None, False, tolerance, 0.0, motion.stamps - lidar.latency)
-    raw, smooth, steady = estimate_lag(motion, odometer), None, motion.stamps
-    if not lidar.period and raw is not None and disorder <= MAX_DISORDER:
+    smooth, steady = None, motion.stamps
+    if not lidar.period and disorder <= MAX_DISORDER:
         steady = SweepClock(period).smooth(np.ascontiguousarray(motion.stamps))
         smooth = estimate_lag(motion._replace(stamps=steady), odometer)
     jitter = float(np.std(motion.stamps - steady))
     if smooth is not None and _is_better(smooth, raw):
         return Timing(period, raw, smooth, False, tolerance, jitter, steady - smooth.seconds)
-    if raw is None:
-        return Timing(period, None, smooth, False, tolerance, jitter, motion.stamps - lidar.latency)
     off = raw.seconds - lidar.latency
     shift = raw.seconds if is_off(off, raw.sigma, MAX_LAG_ERROR) else lidar.latency
     is_late = is_off(off, raw.sigma, tolerance)

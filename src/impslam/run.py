@@ -376,8 +376,12 @@ class Run:
         )
         outcome = replace(outcome, partial=partial)
         known = replace(known, about=about(outcome, self._continuation.logs(outcome, self.scans)))
-        finish_all(self._observers, known, outcome)
+        self.finish_observers(known, outcome)
         return known
+
+    def finish_observers(self, known: Map, outcome: Outcome) -> None:
+        """Pass the final map and the facts of the run to all observers; see `finish_all`."""
+        finish_all(self._observers, known, outcome)
 
     def _refuse_empty(self, source: Source) -> None:
         if self.scans == 0 and self._continuation.refusal:

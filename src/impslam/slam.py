@@ -15,7 +15,7 @@ from impslam.config import Config
 from impslam.continuing import begin_with
 from impslam.errors import ConfigError, ImpError
 from impslam.map import Keyframe, Map, PathRows, Revision, Track
-from impslam.observers.base import Observer, checked_observers, finish_all
+from impslam.observers.base import Observer, checked_observers
 from impslam.odometry.synchroniser import MAX_WAIT
 from impslam.open_log import finished, for_continuing
 from impslam.run import Run
@@ -86,8 +86,7 @@ class Slam:
         self._newest = _Newest(placed=begin is None)
         if begin is not None:
             chosen = for_continuing(chosen, settings)
-        self._observers = list(checked_observers(observers))
-        self._run = Run(chosen, [self._newest, *self._observers], begin)
+        self._run = Run(chosen, [self._newest, *checked_observers(observers)], begin)
         self._progress, self._order = progress, 0
         self._newest_stamps: dict[str, float] = {}  # by stream
         self._newest_scans: dict[str, float] = {}  # stamps by stream, of scans alone
@@ -252,8 +251,7 @@ class Slam:
         self._run.flush()
         self._report_progress(before)
         known = self._run.refined()
-        outcome = self._run.outcome(Path(), "", len(known.landmarks))
-        finish_all(self._observers, known, outcome)
+        self._run.finish_observers(known, self._run.outcome(Path(), "", len(known.landmarks)))
         return known
 
 

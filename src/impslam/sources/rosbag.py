@@ -299,7 +299,7 @@ class RosBag(Source):
         watched = self._frames.publishers(bag, watch.pairs)
         others = [c for c in (*events, *watched) if c not in used]
         topics, odometry = {c.topic for c in used}, self._edge
-        frames = ScanFrames({t: f for t, f in self._frames.written.items() if t in topics})
+        frames = ScanFrames(self.path, bag, self._frames.written, self._problems)
         self._position = 0
         records: list[NumberedRecord] = []
         size = 0
@@ -312,7 +312,7 @@ class RosBag(Source):
             self._position += 1
             if connection.msgtype in TF_TYPES and not (odometry and odometry.is_in(data)):
                 continue
-            if self._is_of_another_frame(frames, connection, data):
+            if frames.leaves_out(connection, data):
                 continue
             if moved := watch.moved(connection.topic):
                 self._report_moved(connection.topic, moved)
@@ -335,22 +335,6 @@ class RosBag(Source):
                 kind = "error on the robot" if event.level >= ERROR else "warning on the robot"
                 text = " ".join(f"{event.name}: {event.msg}".split())
                 self._problems.add(kind, f"{self.path}: {text}")
-
-    def _is_of_another_frame(self, own: ScanFrames, connection: Connection, data: bytes) -> bool:
-        """Return whether a scan is of another lidar than the others of its topic, and report it."""
-        topic, frame = connection.topic, ""
-        with suppress(Exception):  # rosbags may raise anything on damaged data
-            frame = own.other(topic, data, self._open().decoder(connection))
-        if not frame:
-            return False
-        assert self._frames is not None
-        self._problems.add(
-            "scan of another frame",
-            f"{self.path}: {topic} has scans of {frame} and of {self._frames.written[topic]}, which is "
-            f"read; to read the other one, --set source.scan_frame={frame}; to read both, record them "
-            "on topics of their own",
-        )
-        return True
 
     def _report_moved(self, topic: str, moved: str) -> None:
         """Report a scan whose laser has moved since the first scan."""

@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
 
-from impslam.sources.ros_storage import RosMessage
+from rosbags.interfaces import Connection
+
+from impslam.sources.base import Problems
+from impslam.sources.ros_storage import Bag
 
 _HEADER = 16
 """Bytes before the characters of a frame's name: encapsulation or sequence number, stamp, and length."""
@@ -16,20 +21,34 @@ class ScanFrames:
 
     Parameters
     ----------
+    path, bag : the log, and the same opened
     frames : the frame of each topic of scans, as written in its messages
+    problems : collects the scans of other frames
     """
 
-    def __init__(self, frames: Mapping[str, str]) -> None:
+    def __init__(self, path: Path, bag: Bag, frames: Mapping[str, str], problems: Problems) -> None:
+        self._path, self._bag, self._problems = path, bag, problems
         self._frames = dict(frames)
         self._written = {topic: _written(frame) for topic, frame in frames.items()}
 
-    def other(self, topic: str, data: bytes, decode: Callable[[bytes], RosMessage]) -> str:
-        """Return the frame of a serialised scan if it is another one than that of its topic, else ""."""
+    def leaves_out(self, connection: Connection, data: bytes) -> bool:
+        """Return whether a serialised message is a scan of another frame, and report it."""
+        topic = connection.topic
         own = self._written.get(topic)
         if own is None or data[: _HEADER + len(own[0])].endswith(own):
-            return ""
-        frame = str(decode(data).header.frame_id)
-        return frame if frame != self._frames[topic] else ""
+            return False
+        frame = self._frames[topic]
+        with suppress(Exception):  # rosbags may raise anything on damaged data
+            frame = self._bag.decoder(connection)(data).header.frame_id
+        if frame == self._frames[topic]:
+            return False
+        self._problems.add(
+            "scan of another frame",
+            f"{self._path}: {topic} has scans of {frame} and of {self._frames[topic]}, which is read; "
+            f"to read the other one, --set source.scan_frame={frame}; to read both, record them on "
+            "topics of their own",
+        )
+        return True
 
 
 def _written(frame: str) -> tuple[bytes, bytes]:

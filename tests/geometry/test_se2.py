@@ -2,6 +2,7 @@
 
 import math
 import re
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,7 @@ from impslam.geometry.se2 import (
     inverse,
     log,
     rotation,
+    sinc_cosc,
     transform,
 )
 
@@ -54,6 +56,22 @@ def test_wrap_keeps_direction_and_range(theta):
     assert math.isclose(math.cos(w), math.cos(theta), abs_tol=1e-9)
     assert math.isclose(math.sin(w), math.sin(theta), abs_tol=1e-9)
     assert w == wrap_in_kernel(theta) == wrap(np.array([theta]))[0]
+
+
+@pytest.mark.parametrize(
+    "theta", [1e-300, 1e-9, 1e-6, 9.9e-5, 1.01e-4, 1e-3, 0.1, 1.0, 3.1, math.pi]
+)
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_sinc_cosc_are_exact_to_rounding(theta, sign):
+    t = Fraction(sign * theta)
+    series = [(-1) ** (k // 2) * t**k / math.factorial(k + 1) for k in range(40)]
+    a, b = sinc_cosc(sign * theta)
+    assert math.isclose(a, sum(series[::2]), rel_tol=4e-16, abs_tol=4e-16)
+    assert math.isclose(b, sum(series[1::2]), rel_tol=4e-16)
+
+
+def test_sinc_cosc_at_zero():
+    assert sinc_cosc(0.0) == sinc_cosc(-0.0) == (1.0, 0.0)
 
 
 def test_wrap_ends():

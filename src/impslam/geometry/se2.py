@@ -2,8 +2,7 @@
 
 A pose is `[x, y, theta]` (m, m, rad): the position and heading of a frame seen from another,
 `T_a_b` being frame b in frame a. The manifold is R^2 x S^1 with the group law of SE(2). Closed forms
-for `exp` and `log` follow Solà et al. 2018, "A micro Lie theory", Eq. 152-158; near theta = 0 they
-switch to their Taylor series, because the closed forms lose precision there.
+for `exp` and `log` follow Solà et al. 2018, "A micro Lie theory", Eq. 152-158.
 
 All functions batch: poses are (..., 3), and leading axes broadcast as in numpy. Each is one
 compiled loop over the poses, so that one pose costs little more than arithmetic on plain floats.
@@ -22,7 +21,6 @@ from impslam.geometry.kernels import kernel, plain
 Array = npt.NDArray[np.float64]
 
 _SINGLE = (3,)  # the shape of a single pose, the most frequent case
-_SMALL = 1e-4  # rad: the series below is exact to 1e-17 there, the closed form only to 1e-12
 
 
 def rotation(theta: float | Array) -> Array:
@@ -191,18 +189,23 @@ def _transform(poses: Array, points: Array) -> Array:
 
 
 @kernel
-def _sinc_cosc(theta: float) -> tuple[float, float]:
-    """Return sin(t)/t and (1 - cos(t))/t, smooth through t = 0."""
-    if abs(theta) < _SMALL:
-        return 1.0 - theta * theta / 6.0, theta / 2.0 - theta**3 / 24.0
-    return math.sin(theta) / theta, (1.0 - math.cos(theta)) / theta
+def sinc_cosc(theta: float) -> tuple[float, float]:
+    """Return sin(t)/t and (1 - cos(t))/t, which are 1 and 0 at t = 0.
+
+    By the half angle, both are accurate to rounding for all t, while 1 - cos(t) cancels near 0.
+    """
+    if theta == 0.0:
+        return 1.0, 0.0
+    half = 0.5 * theta
+    s = math.sin(half)
+    return s * math.cos(half) / half, s * (s / half)  # s * s may underflow
 
 
 @kernel
 def _exp(twists: Array) -> Array:
     out = np.empty_like(twists)
     for i in range(len(twists)):
-        a, b = _sinc_cosc(twists[i, 2])
+        a, b = sinc_cosc(twists[i, 2])
         x, y = twists[i, 0], twists[i, 1]
         out[i, 0], out[i, 1] = a * x - b * y, b * x + a * y
         out[i, 2] = wrap_in_kernel(twists[i, 2])
@@ -214,7 +217,7 @@ def _log(poses: Array) -> Array:
     out = np.empty_like(poses)
     for i in range(len(poses)):
         theta = wrap_in_kernel(poses[i, 2])
-        a, b = _sinc_cosc(theta)
+        a, b = sinc_cosc(theta)
         scale, x, y = 1.0 / (a * a + b * b), poses[i, 0], poses[i, 1]
         out[i, 0], out[i, 1] = scale * (a * x + b * y), scale * (a * y - b * x)
         out[i, 2] = theta

@@ -17,6 +17,7 @@ import numpy as np
 
 from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.kernels import kernel
+from impslam.geometry.se2 import sinc_cosc
 from impslam.types import Array, Ints
 
 # Columns of a motion: the stamp at its end, duration, pose (3), covariance xx, xy, xt, yy, yt, tt.
@@ -78,10 +79,7 @@ def compose(total: Array, other: Array) -> None:
 def _log(pose: Array, out: Array) -> None:
     """Write the twist that reaches a pose in 1 s; see `geometry.se2.log`."""
     theta = wrap_in_kernel(pose[2])
-    if abs(theta) < 1e-4:
-        a, b = 1.0 - theta * theta / 6.0, theta / 2.0 - theta**3 / 24.0
-    else:
-        a, b = math.sin(theta) / theta, (1.0 - math.cos(theta)) / theta
+    a, b = sinc_cosc(theta)
     scale = 1.0 / (a * a + b * b)
     out[0] = scale * (a * pose[0] + b * pose[1])
     out[1] = scale * (a * pose[1] - b * pose[0])
@@ -92,10 +90,7 @@ def _log(pose: Array, out: Array) -> None:
 def _exp(twist: Array, share: float, out: Array) -> None:
     """Write the pose that part of a twist reaches in 1 s; see `geometry.se2.exp`."""
     vx, vy, theta = share * twist[0], share * twist[1], share * twist[2]
-    if abs(theta) < 1e-4:
-        a, b = 1.0 - theta * theta / 6.0, theta / 2.0 - theta**3 / 24.0
-    else:
-        a, b = math.sin(theta) / theta, (1.0 - math.cos(theta)) / theta
+    a, b = sinc_cosc(theta)
     out[0], out[1], out[2] = a * vx - b * vy, b * vx + a * vy, wrap_in_kernel(theta)
 
 

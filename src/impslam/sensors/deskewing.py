@@ -11,11 +11,10 @@ range_max, at which a surface hardly ever is; lidars report error codes below th
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from impslam.geometry.kernels import kernel
+from impslam.geometry.se2 import sinc_cosc
 from impslam.types import Array, Mask
 
 
@@ -59,11 +58,8 @@ def deskew_sweeps(
             r = calibration[0] * r + calibration[1] if usable else 0.0
             t = beams[i, 1]
             theta = omega * t
-            c, s = math.cos(theta), math.sin(theta)
-            if abs(theta) < 1e-4:
-                a, b = 1.0 - theta * theta / 6.0, theta / 2.0
-            else:
-                a, b = s / theta, (1.0 - c) / theta
+            a, b = sinc_cosc(theta)
+            c, s = 1.0 - theta * b, theta * a
             x = t * (a * vx - b * vy) + c * mount[0] - s * mount[1]
             y = t * (b * vx + a * vy) + s * mount[0] + c * mount[1]
             calibrated[k, i], valid[k, i] = r, usable

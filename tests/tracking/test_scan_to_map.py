@@ -10,7 +10,7 @@ from tests.extractors.scans import URG_ANGLES, cast, room, with_ranges
 from tests.sensing import joined
 from tests.tracking.sweeps import motions_of, steps, sweeps_of
 
-from impslam.geometry.algebra import invert, rotate_covariance, solve
+from impslam.geometry.algebra import rotate_covariance
 from impslam.geometry.se2 import between, compose
 from impslam.health import NONE, OPEN, PUSHED, SLIPPED
 from impslam.noise import UNKNOWN, MotionNoise
@@ -91,28 +91,6 @@ def assert_near(errors, metres, radians):
 def assert_spd(covariance):
     np.testing.assert_array_equal(covariance, covariance.T)
     assert np.linalg.eigvalsh(covariance)[0] > 0.0
-
-
-def test_solve_equals_numpy(rng):
-    for _ in range(50):
-        root = rng.normal(size=(3, 5))
-        A, b = root @ root.T + 1e-3 * np.eye(3), rng.normal(size=3)
-        x, inverse = b.copy(), A.copy()
-        assert solve(A, x)
-        assert invert(inverse)
-        np.testing.assert_allclose(x, np.linalg.solve(A, b), rtol=1e-8, atol=1e-9)
-        np.testing.assert_allclose(inverse @ A, np.eye(3), atol=1e-8)
-
-
-@pytest.mark.parametrize(
-    "diagonal", [[1, 1, 0], [1, -1, 1], [0, 1, 1], [np.nan, 1, 1], [1, 1, np.inf]]
-)
-def test_a_matrix_that_is_not_positive_definite_has_no_solution(diagonal):
-    A, b = np.diag(np.array(diagonal, float)), np.ones(3)
-    assert not solve(A, b)
-    assert not invert(A)
-    assert (b == 1.0).all()
-    np.testing.assert_array_equal(np.diag(A), diagonal)
 
 
 # --------------------------------------------------------------------------- a room

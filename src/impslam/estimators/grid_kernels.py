@@ -6,10 +6,11 @@ import math
 
 import numpy as np
 
+from impslam.geometry.algebra import solve
 from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.kernels import kernel
 from impslam.surfaces.features import Features
-from impslam.surfaces.surface_map import Alignment, FitSums, solve_3x3
+from impslam.surfaces.surface_map import Alignment, FitSums
 from impslam.surfaces.tiles import Sorted, Tiles, evidence, sort
 from impslam.types import Array, Ints
 
@@ -60,16 +61,17 @@ def _align(
     `found` are these two outputs; `prior` is the predicted pose (3,) and its root (3, 3).
     """
     (guess, root), (u, information) = prior, found
-    pose, b, step = guess.copy(), np.empty(3), np.empty(3)
+    pose, b = guess.copy(), np.empty(3)
     for i in range(how.iterations):
         narrowing = min(1.0, i / (0.5 * how.iterations))
         scale = how.wide * (how.narrow / how.wide) ** narrowing
         evidence(pool, seen, pose, scale, out)
         w = _normal_equations(out, root, u, how, information, b)
-        step[0], step[1], step[2] = solve_3x3(information, b)
-        u -= step
+        if not solve(information, b):
+            b[:] = 0.0
+        u -= b
         _add_to(guess, root, u, pose)
-        if scale == how.narrow and np.abs(root @ step).max() < 1e-4:
+        if scale == how.narrow and np.abs(root @ b).max() < 1e-4:
             break
     evidence(pool, seen, pose, how.narrow, out)
     w = _normal_equations(out, root, u, how, information, b)

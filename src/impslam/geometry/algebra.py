@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import TypeAlias
 
 import numpy as np
 
@@ -10,6 +11,12 @@ from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.kernels import kernel
 
 Array = np.ndarray[tuple[int, ...], np.dtype[np.float64]]
+_Factors: TypeAlias = tuple[bool, float, float, float, float, float, float]
+
+SINGULAR = 1e-13
+"""Minimum ratio of a pivot to its original diagonal: below, it is only rounding."""
+_ZEROS = 0.0, 0.0, 0.0
+_INDEFINITE: _Factors = False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
 
 
 @kernel
@@ -44,37 +51,53 @@ def rotate_covariance(C: Array, angle: float) -> Array:
 
 @kernel
 def solve(A: Array, b: Array) -> bool:
-    """Replace b (3,) by x of A x = b; return False unless A (3, 3) is symmetric positive definite."""
-    # A = L L^T by Cholesky, with only the entries below the diagonal of L and its inverse diagonal.
-    p = A[0, 0]
-    if not 0.0 < p < math.inf:
-        return False
-    p = 1.0 / math.sqrt(p)
-    l10, l20 = A[1, 0] * p, A[2, 0] * p
-    q = A[1, 1] - l10 * l10
-    if not 0.0 < q < math.inf:
-        return False
-    q = 1.0 / math.sqrt(q)
-    l21 = (A[2, 1] - l20 * l10) * q
-    r = A[2, 2] - l20 * l20 - l21 * l21
-    if not 0.0 < r < math.inf:
-        return False
-    y0 = b[0] * p
-    y1 = (b[1] - l10 * y0) * q
-    b[2] = (b[2] - l20 * y0 - l21 * y1) / r
-    b[1] = (y1 - l21 * b[2]) * q
-    b[0] = (y0 - l10 * b[1] - l20 * b[2]) * p
-    return True
+    """Replace b (3,) by x of A x = b; return False, without changes, unless A is positive definite."""
+    is_definite, p, q, r, l10, l20, l21 = _factors(A, _ZEROS)
+    if is_definite:
+        b[1] -= l10 * b[0]
+        b[2] -= l20 * b[0] + l21 * b[1]
+        b[2] /= r
+        b[1] = b[1] / q - l21 * b[2]
+        b[0] = b[0] / p - l10 * b[1] - l20 * b[2]
+    return bool(is_definite)
 
 
 @kernel
 def invert(A: Array) -> bool:
     """Replace A (3, 3) by its inverse; return False, without changes, unless it is positive definite."""
-    inverse = np.eye(3)
-    for k in range(3):
-        if not solve(A, inverse[k]):
-            return False
-    for a in range(3):
-        for b in range(3):
-            A[a, b] = 0.5 * (inverse[a, b] + inverse[b, a])
-    return True
+    return bool(invert_into(A, _ZEROS, A))
+
+
+@kernel
+def invert_into(A: Array, scale: tuple[float, float, float], out: Array) -> bool:
+    """Fill `out` with the inverse of A (3, 3); return False, without changes, unless A is definite.
+
+    `scale` are the diagonal entries from which A was computed by subtraction; see `SINGULAR`.
+    """
+    is_definite, p, q, r, l10, l20, l21 = _factors(A, scale)
+    if is_definite:
+        t = l10 * l21 - l20  # the last row of the inverse of L is [t, -l21, 1]
+        out[2, 2] = 1.0 / r
+        out[1, 2] = out[2, 1] = -l21 / r
+        out[0, 2] = out[2, 0] = t / r
+        out[1, 1] = 1.0 / q + l21 * l21 / r
+        out[0, 1] = out[1, 0] = -l10 / q - l21 * t / r
+        out[0, 0] = 1.0 / p + l10 * l10 / q + t * t / r
+    return bool(is_definite)
+
+
+@kernel
+def _factors(A: Array, scale: tuple[float, float, float]) -> _Factors:
+    """Return whether A = L D L^T is positive definite, p, q, r of D, and l10, l20, l21 of L."""
+    p = A[0, 0]
+    if not SINGULAR * scale[0] < p < math.inf:
+        return _INDEFINITE
+    l10, l20 = A[1, 0] / p, A[2, 0] / p
+    q = A[1, 1] - l10 * A[1, 0]
+    if not SINGULAR * scale[1] < q < math.inf:
+        return _INDEFINITE
+    l21 = (A[2, 1] - l10 * A[2, 0]) / q
+    r = A[2, 2] - l20 * A[2, 0] - l21 * l21 * q
+    if not SINGULAR * scale[2] < r < math.inf:
+        return _INDEFINITE
+    return True, p, q, r, l10, l20, l21

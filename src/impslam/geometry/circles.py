@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from impslam.errors import ShapeError
+from impslam.geometry.algebra import invert_into
 from impslam.geometry.circle_start import circle_start
 from impslam.geometry.kernels import kernel
 
@@ -115,20 +116,12 @@ def _normal_equations(
 
 @kernel
 def _inverse(info: Array, known: bool, out: Array) -> bool:
-    """Write the covariance, by cofactors; return whether it exists."""
+    """Write the covariance; return whether it exists."""
     if known:
         info[0, 2] = info[1, 2] = info[2, 0] = info[2, 1] = 0.0
         info[2, 2] = 1.0
-    det = 0.0
-    for a in range(3):
-        b, c = (a + 1) % 3, (a + 2) % 3
-        for d in range(3):
-            e, f = (d + 1) % 3, (d + 2) % 3
-            out[d, a] = info[b, e] * info[c, f] - info[b, f] * info[c, e]
-        det += info[a, 0] * out[0, a]
-    if not det > 1e-13 * info[0, 0] * info[1, 1] * info[2, 2]:
+    if not invert_into(info, (info[0, 0], info[1, 1], info[2, 2]), out):
         return False
-    out /= det
     if known:
         out[2, 2] = 0.0
     return True

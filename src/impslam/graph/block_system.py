@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from impslam.geometry.algebra import rotate_covariance
+from impslam.geometry.algebra import invert, rotate_covariance
 from impslam.geometry.kernels import kernel
 from impslam.types import Array, Ints, Mask
 
@@ -159,7 +159,7 @@ def _multiply(system: BlockSystem, x: Array, out: Array) -> None:
 def _factorise(system: BlockSystem) -> tuple[Array, Array]:
     """Return the chain's L D^-1 L^T: D^-1 (k, 3, 3), and L's blocks (i, i - 1) (k, 3, 3)."""
     k = len(system.diagonal)
-    adjacent, inverses, lower = _adjacent(system), np.empty((k, 3, 3)), np.zeros((k, 3, 3))
+    adjacent, inverses, lower = _adjacent(system), np.zeros((k, 3, 3)), np.zeros((k, 3, 3))
     M = np.empty((3, 3))
     for i in range(k):
         M[:] = system.diagonal[i]
@@ -172,7 +172,8 @@ def _factorise(system: BlockSystem) -> tuple[Array, Array]:
             for b in range(3):
                 for c in range(3):
                     M[a, b] -= lower[i, a, c] * adjacent[i, b, c]
-        _invert(M, inverses[i])
+        if invert(M):
+            inverses[i] = M
     return inverses, lower
 
 
@@ -207,15 +208,3 @@ def _precondition(inverses: Array, lower: Array, r: Array, z: Array) -> None:
             L = lower[i + 1]
             for a in range(3):
                 z[i, a] -= L[0, a] * z[i + 1, 0] + L[1, a] * z[i + 1, 1] + L[2, a] * z[i + 1, 2]
-
-
-@kernel
-def _invert(A: Array, out: Array) -> None:
-    """Fill `out` with the inverse of a symmetric positive definite A (3, 3), by cofactors."""
-    out[0, 0] = A[1, 1] * A[2, 2] - A[1, 2] * A[1, 2]
-    out[0, 1] = out[1, 0] = A[1, 2] * A[0, 2] - A[0, 1] * A[2, 2]
-    out[0, 2] = out[2, 0] = A[0, 1] * A[1, 2] - A[1, 1] * A[0, 2]
-    out[1, 1] = A[0, 0] * A[2, 2] - A[0, 2] * A[0, 2]
-    out[1, 2] = out[2, 1] = A[0, 1] * A[0, 2] - A[0, 0] * A[1, 2]
-    out[2, 2] = A[0, 0] * A[1, 1] - A[0, 1] * A[0, 1]
-    out /= A[0, 0] * out[0, 0] + A[0, 1] * out[0, 1] + A[0, 2] * out[0, 2]

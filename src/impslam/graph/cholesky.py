@@ -11,13 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from impslam.geometry.algebra import invert_into
 from impslam.geometry.kernels import kernel
 from impslam.graph.block_system import BlockSystem
 from impslam.graph.elimination import Pattern
 from impslam.types import Array
-
-_SINGULAR = 1e-13
-"""Minimum ratio of a pivot to its original diagonal: below, it is only rounding."""
 
 
 class Factor(NamedTuple):
@@ -53,12 +51,12 @@ def factorise(system: BlockSystem, damping: float, factor: Factor) -> int:
     _load(system, factor)
     k, poses = len(pattern.step), np.empty(len(pattern.step), np.int64)
     poses[pattern.step] = np.arange(k)
-    place, M, scale = np.empty(k, np.int64), np.empty((3, 3)), np.empty(3)
+    place, M = np.empty(k, np.int64), np.empty((3, 3))
     for s in range(k):
         D = pivots[s]
         for a in range(3):
             D[a, a] *= 1.0 + damping
-            scale[a] = D[a, a]
+        scale = D[0, 0], D[1, 1], D[2, 2]
         for q in range(pattern.starts[s], pattern.starts[s + 1]):
             place[pattern.rows[q]] = q
         for t in range(pattern.row_starts[s], pattern.row_starts[s + 1]):
@@ -67,7 +65,7 @@ def factorise(system: BlockSystem, damping: float, factor: Factor) -> int:
             _subtract(lower[q], M, D)
             for r in range(q + 1, pattern.starts[c + 1]):
                 _subtract(lower[r], M, lower[place[pattern.rows[r]]])
-        if not _invert(D, scale, factor.inverses[s]):
+        if not invert_into(D, scale, factor.inverses[s]):
             return int(poses[s])
         for q in range(pattern.starts[s], pattern.starts[s + 1]):
             _times(lower[q], factor.inverses[s])
@@ -121,33 +119,6 @@ def _times(A: Array, M: Array) -> None:
         x, y, z = A[a, 0], A[a, 1], A[a, 2]
         for b in range(3):
             A[a, b] = x * M[0, b] + y * M[1, b] + z * M[2, b]
-
-
-@kernel
-def _invert(A: Array, scale: Array, out: Array) -> bool:
-    """Fill `out` with the inverse of a symmetric A (3, 3); return whether it is positive definite.
-
-    `scale` (3,) are the original diagonal entries, from which A was computed by subtraction.
-    """
-    first = A[0, 0]
-    if not first > _SINGULAR * scale[0]:
-        return False
-    u, v = A[0, 1] / first, A[0, 2] / first
-    second = A[1, 1] - u * A[0, 1]
-    if not second > _SINGULAR * scale[1]:
-        return False
-    w = (A[1, 2] - u * A[0, 2]) / second
-    third = A[2, 2] - v * A[0, 2] - w * w * second
-    if not third > _SINGULAR * scale[2]:
-        return False
-    t = u * w - v  # the last row of the inverse of the triangle [1; u 1; v w 1]
-    out[2, 2] = 1.0 / third
-    out[1, 2] = out[2, 1] = -w / third
-    out[0, 2] = out[2, 0] = t / third
-    out[1, 1] = 1.0 / second + w * w / third
-    out[0, 1] = out[1, 0] = -u / second - w * t / third
-    out[0, 0] = 1.0 / first + u * u / second + t * t / third
-    return True
 
 
 @kernel

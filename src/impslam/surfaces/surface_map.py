@@ -14,6 +14,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
+from impslam.geometry.algebra import solve
 from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.kernels import kernel
 from impslam.surfaces.features import Features
@@ -361,30 +362,11 @@ def align(
         g[0] += w * prior[0] * ex
         g[1] += w * prior[1] * ey
         g[2] += w * prior[2] * et
-        dx, dy, dt = solve_3x3(A, g)
-        pose[0] -= dx
-        pose[1] -= dy
-        pose[2] -= dt
-        if abs(dx) + abs(dy) < 2e-4 and abs(dt) < 1e-4 and scale == settings.narrow:
+        if not solve(A, g):
+            g[:] = 0.0
+        for a in range(3):
+            pose[a] -= g[a]
+        if abs(g[0]) + abs(g[1]) < 2e-4 and abs(g[2]) < 1e-4 and scale == settings.narrow:
             break
     pose[2] = wrap_in_kernel(pose[2])
     return float(out.sums[_INLIERS] / max(out.sums[_INSIDE], 1.0))
-
-
-@kernel
-def solve_3x3(A: Array, b: Array) -> tuple[float, float, float]:
-    """Return A^-1 b for a symmetric A (3, 3); zeros if A has no inverse."""
-    p = A[1, 1] * A[2, 2] - A[1, 2] * A[1, 2]
-    q = A[1, 2] * A[0, 2] - A[0, 1] * A[2, 2]
-    r = A[0, 1] * A[1, 2] - A[1, 1] * A[0, 2]
-    det = A[0, 0] * p + A[0, 1] * q + A[0, 2] * r
-    if not det > 0.0:
-        return 0.0, 0.0, 0.0
-    u = A[0, 0] * A[2, 2] - A[0, 2] * A[0, 2]
-    v = A[0, 1] * A[0, 2] - A[0, 0] * A[1, 2]
-    w = A[0, 0] * A[1, 1] - A[0, 1] * A[0, 1]
-    return (
-        (p * b[0] + q * b[1] + r * b[2]) / det,
-        (q * b[0] + u * b[1] + v * b[2]) / det,
-        (r * b[0] + v * b[1] + w * b[2]) / det,
-    )

@@ -27,6 +27,7 @@ from impslam.graph.block_system import (
     solve_system,
 )
 from impslam.graph.checked import check_edges
+from impslam.graph.edges import linearise_edge
 from impslam.surfaces.features import check_rows
 from impslam.types import Array, Edges, Ints, Mask, check_shape
 
@@ -190,21 +191,8 @@ def linearise(
             g *= fit.information
         else:
             H = W
-            _linearise_edge(edges, row - pairs, d, H, g)
+            linearise_edge(edges, row - pairs, d, 1.0, H, g)
         add_relative(system, row, poses, H, g)
-
-
-@kernel
-def _linearise_edge(edges: Edges, row: int, d: Array, H: Array, g: Array) -> None:
-    """Fill H (3, 3) and g (3,) with the normal equations of an edge at the relative pose d (3,)."""
-    T, known, kernel_ = edges.T_i_j[row], edges.information[row], edges.kernel[row]
-    ex, ey, et = d[0] - T[0], d[1] - T[1], wrap_in_kernel(d[2] - T[2])
-    for a in range(3):
-        g[a] = known[a, 0] * ex + known[a, 1] * ey + known[a, 2] * et
-    chi2 = ex * g[0] + ey * g[1] + et * g[2]
-    w = 1.0 if kernel_ == np.inf else (kernel_ / (kernel_ + chi2)) ** 2
-    g *= w
-    H[:] = w * known
 
 
 @kernel

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from impslam.geometry.algebra import between
 from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.kernels import kernel
 from impslam.graph.block_system import BlockSystem, add_relative, clear_system
@@ -27,15 +28,6 @@ class Costs(NamedTuple):
 
 
 @kernel
-def edge_error(T_map_i: Array, T_map_j: Array, T_i_j: Array, out: Array) -> None:
-    """Fill out (3,) with the error of an edge."""
-    c, s = math.cos(T_map_i[2]), math.sin(T_map_i[2])
-    dx, dy = T_map_j[0] - T_map_i[0], T_map_j[1] - T_map_i[1]
-    out[0], out[1] = c * dx + s * dy - T_i_j[0], c * dy - s * dx - T_i_j[1]
-    out[2] = wrap_in_kernel(T_map_j[2] - T_map_i[2] - T_i_j[2])
-
-
-@kernel
 def linearise(
     poses: Array, edges: Edges, graduation: float, system: BlockSystem, costs: Costs
 ) -> float:
@@ -44,23 +36,35 @@ def linearise(
     Kernels are widened to `graduation` c^2; if it is infinite, all weights are 1.
     """
     clear_system(system)
-    error, g, H, cost = np.empty(3), np.empty(3), np.empty((3, 3)), 0.0
+    d, g, H, cost = np.empty(3), np.empty(3), np.empty((3, 3)), 0.0
     for e in range(len(edges.i)):
-        edge_error(poses[edges.i[e]], poses[edges.j[e]], edges.T_i_j[e], error)
-        W, u = edges.information[e], 0.0
-        for a in range(3):
-            g[a] = W[a, 0] * error[0] + W[a, 1] * error[1] + W[a, 2] * error[2]
-            u += error[a] * g[a]
-        c2 = graduation * edges.kernel[e]
-        share = 1.0 if c2 == math.inf else c2 / (c2 + u)
+        between(poses[edges.i[e]], poses[edges.j[e]], d)
+        u, share = linearise_edge(edges, e, d, graduation, H, g)
         costs.chi2[e], costs.weights[e] = u, share * share
         cost += share * u
-        for a in range(3):
-            g[a] *= share * share
-            for b in range(3):
-                H[a, b] = share * share * W[a, b]
         add_relative(system, e, poses, H, g)
     return cost
+
+
+@kernel
+def linearise_edge(
+    edges: Edges, e: int, d: Array, graduation: float, H: Array, g: Array
+) -> tuple[float, float]:
+    """Fill H (3, 3) and g (3,) with the normal equations of an edge at T_i_j = d (3,).
+
+    Returns its chi-square and the root of its weight. `graduation` is as in `linearise`.
+    """
+    T, W, c2 = edges.T_i_j[e], edges.information[e], graduation * edges.kernel[e]
+    x, y, theta = d[0] - T[0], d[1] - T[1], wrap_in_kernel(d[2] - T[2])
+    for a in range(3):
+        g[a] = W[a, 0] * x + W[a, 1] * y + W[a, 2] * theta
+    u = x * g[0] + y * g[1] + theta * g[2]
+    share = 1.0 if c2 == math.inf else c2 / (c2 + u)
+    for a in range(3):
+        g[a] *= share * share
+        for b in range(3):
+            H[a, b] = share * share * W[a, b]
+    return u, share
 
 
 @kernel

@@ -16,6 +16,7 @@ import impslam
 from impslam.geometry.angles import wrap, wrap_in_kernel
 from impslam.geometry.se2 import (
     between,
+    block_rotation,
     compose,
     compose_jacobians,
     compose_uncertain,
@@ -72,6 +73,12 @@ def test_sinc_cosc_are_exact_to_rounding(theta, sign):
 
 def test_sinc_cosc_at_zero():
     assert sinc_cosc(0.0) == sinc_cosc(-0.0) == (1.0, 0.0)
+
+
+@given(angle)
+def test_a_block_rotation_is_that_of_a_turned_frame(theta):
+    by_second = compose_jacobians(np.array([1.0, 2.0, theta]), np.array([3.0, 4.0, 5.0]))[1]
+    np.testing.assert_allclose(block_rotation(theta), by_second, atol=1e-15)
 
 
 def test_wrap_ends():

@@ -16,11 +16,11 @@ from impslam.geometry.chain import advance
 from impslam.geometry.kernels import kernel
 from impslam.geometry.se2 import (
     between,
+    block_rotation,
     compose,
     compose_jacobians,
     compose_uncertain,
     inverse,
-    rotation,
 )
 from impslam.graph.edges import roots
 from impslam.graph.solve import marginals, solve
@@ -128,8 +128,7 @@ class PoseGraph:
             i, j, T_i_j = j, i, inverse(T_i_j)
         goal, later = compose(self.poses[i], T_i_j), root == root[j]
         shift = compose(goal, inverse(self.poses[j]))
-        turn = np.eye(3)
-        turn[:2, :2] = rotation(float(shift[2]))
+        turn = block_rotation(float(shift[2]))
         self.poses, self.covariances = self.poses.copy(), self.covariances.copy()
         self.poses[later] = compose(shift, self.poses[later])
         self.covariances[later] = turn @ self.covariances[later] @ turn.T

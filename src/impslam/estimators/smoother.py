@@ -17,7 +17,6 @@ T = diag(R(theta), 1). A landmark is `retract(anchor, delta)` with its initial s
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
@@ -28,7 +27,7 @@ import numpy as np
 from impslam.errors import ConfigError, NumericalError, in_a_line
 from impslam.extras import install
 from impslam.geometry.angles import wrap
-from impslam.geometry.se2 import between, compose
+from impslam.geometry.se2 import between, block_rotation, compose
 from impslam.landmarks.base import STEP, LandmarkModel
 from impslam.types import Array, Observation
 
@@ -223,7 +222,7 @@ def _motion_error(d_pose: Array) -> Error:
         if jacobians is not None:
             x, y, theta = motion.tolist()
             jacobians[0] = np.array([[-1.0, 0.0, y], [0.0, -1.0, -x], [0.0, 0.0, -1.0]], order="F")
-            jacobians[1] = np.asfortranarray(_rotation(theta))
+            jacobians[1] = np.asfortranarray(block_rotation(theta))
         out = motion - d_pose
         out[2] = wrap(float(out[2]))
         return np.asarray(out)
@@ -240,7 +239,7 @@ def _observation_error(mark: Mark, z: Array, s: Array) -> Error:
         predicted = mark.model.predict(pose, mark.state(delta)[None])
         out = -mark.model.residual(z[None], predicted.z)[0]
         if jacobians is not None:
-            jacobians[0] = np.asfortranarray(predicted.z_D_pose[0] @ _rotation(float(pose[2])))
+            jacobians[0] = np.asfortranarray(predicted.z_D_pose[0] @ block_rotation(float(pose[2])))
             jacobians[1] = np.asfortranarray(predicted.z_D_m[0] @ mark.jacobian(delta))
         return _with_shared(out, s, keys, values, jacobians)
 
@@ -298,15 +297,9 @@ def _array(pose: Any) -> Array:
     return np.array([pose.x(), pose.y(), pose.theta()])
 
 
-def _rotation(theta: float) -> Array:
-    """Return T = diag(R(theta), 1)."""
-    c, s = math.cos(theta), math.sin(theta)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-
-
 def _additive(pose: Array, P: Array) -> Array:
     """Return a covariance (3, 3) in a pose's own frame as one of additive errors in map."""
-    T = _rotation(float(pose[2]))
+    T = block_rotation(float(pose[2]))
     out = T @ P @ T.T
     return np.asarray(0.5 * (out + out.T))
 

@@ -27,7 +27,7 @@ from impslam.filters.belief import POSE
 from impslam.filters.ekf import Ekf
 from impslam.filters.matched_scan import MatchedKind
 from impslam.filters.symmetry import pose_D_motion
-from impslam.geometry.se2 import compose, rotation
+from impslam.geometry.se2 import block_rotation, compose
 from impslam.landmarks.base import Initial, LandmarkModel, Prediction
 from impslam.types import Array, Increment, Observation
 
@@ -54,8 +54,7 @@ class FirstEstimatesEkf(Ekf):
         predicted = self._first[:POSE]
         self._before, self._first_before = belief.moving_entries(), predicted.copy()
         after = compose(before, self._learned_motion(increment, errors))
-        V = np.eye(POSE)
-        V[:2, :2] = rotation(before[2])
+        V = block_rotation(float(before[2]))
         noise = V @ self._noise(increment) @ V.T
         belief.move(predicted[1] - after[1], after[0] - predicted[0], noise)
         self._add_systematic(increment, float(before[2]), errors)

@@ -32,6 +32,12 @@ def rotation(theta: float | Array) -> Array:
     return np.stack([c, -s, s, c], axis=-1).reshape(*np.shape(theta), 2, 2)
 
 
+def block_rotation(theta: float) -> Array:
+    """Return diag(R(theta), 1), (3, 3): the rotation of additive errors of [x, y, theta]."""
+    c, s = math.cos(theta), math.sin(theta)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
 def compose(T_a_b: Array, T_b_c: Array) -> Array:
     """Return `T_a_c` (..., 3)."""
     first, second, shape = _paired(T_a_b, T_b_c)

@@ -13,14 +13,13 @@ from dataclasses import replace
 import numpy as np
 
 from impslam.geometry.angles import wrap
-from impslam.geometry.se2 import rotation, transform
+from impslam.geometry.se2 import block_rotation, rotation, transform
 from impslam.types import Array, Landmark
 
 
 def moved_covariances(T: Array, covariances: Array) -> Array:
     """Return covariances (..., 3, 3) of poses after the map has moved by T (3,)."""
-    J = np.eye(3)
-    J[:2, :2] = rotation(float(T[2]))
+    J = block_rotation(float(T[2]))
     return np.asarray(J @ covariances @ J.T)
 
 

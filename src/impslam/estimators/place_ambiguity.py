@@ -17,6 +17,7 @@ from impslam.estimators.base import MIN_SIGMA
 from impslam.estimators.keyframe_log import KeyframeLog, revised
 from impslam.estimators.pose_graph import PoseGraph
 from impslam.geometry.angles import wrap
+from impslam.geometry.chi_square import GATE_3D_999
 from impslam.geometry.se2 import between, compose
 from impslam.health import ELSEWHERE
 from impslam.map import REACH_SIGMAS, Keyframe
@@ -27,9 +28,9 @@ from impslam.types import Array
 if TYPE_CHECKING:
     from impslam.recognition.relocalisation import Relocaliser
 
-MAX_DISTANCE2 = 16.3
-"""Squared Mahalanobis distance with three degrees of freedom, 99.9 %: nearer places are within the
-covariance of the estimate, as along a bare corridor."""
+MAX_DISTANCE2 = GATE_3D_999
+"""Squared Mahalanobis distance: nearer places are within the covariance of the estimate, as along a bare
+corridor."""
 MIN_SHIFT = 0.5
 """m between the estimate and another place; nearer ones are the same, aligned a little differently."""
 

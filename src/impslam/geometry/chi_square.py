@@ -9,7 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 GATE_2D = 13.8
-"""99.9 % quantile for two degrees of freedom, as a constant for compiled code."""
+GATE_3D_95, GATE_3D_99, GATE_3D_999, GATE_3D_9999 = 7.815, 11.345, 16.266, 21.108
+"""Quantiles as constants for compiled code: 99.9 % for two degrees of freedom; 95 to 99.99 % for three."""
 
 
 @cache

@@ -7,10 +7,12 @@ from typing import NamedTuple
 import numpy as np
 
 from impslam.geometry.angles import wrap
+from impslam.geometry.chi_square import GATE_3D_99
 from impslam.geometry.se2 import compose_uncertain
 from impslam.types import Array
 
-GATE = 11.345  # chi^2 of 3 degrees of freedom: 1 % of true pairs are rejected
+GATE = GATE_3D_99
+"""Squared Mahalanobis distance that 1 % of true pairs exceed, and are rejected."""
 
 
 class Relation(NamedTuple):

@@ -14,6 +14,7 @@ import numpy as np
 
 from impslam.geometry.algebra import between
 from impslam.geometry.angles import wrap_in_kernel
+from impslam.geometry.chi_square import GATE_3D_95
 from impslam.geometry.kernels import kernel
 from impslam.noise import UNKNOWN
 from impslam.surfaces.features import Features
@@ -31,8 +32,8 @@ from impslam.types import Array
 MAX_VELOCITY_CHANGE = (0.1, 0.2)
 """m, rad: a match farther from constant velocity may be a wrong minimum, or odometry slipped. Indoor robots
 accelerate by less than 2 m/s^2 and 5 rad/s^2, over 0.2 s at most."""
-MAX_CHI2 = 7.8
-"""95 % quantile of three degrees of freedom: a match farther from odometry may be a wrong minimum."""
+MAX_CHI2 = GATE_3D_95
+"""A match farther from odometry may be a wrong minimum."""
 SLIP_PROBABILITY = 1e-3
 """Share of matches preceded by a slip: ten in an hour. A slip is uniform within `MAX_SLIP`, a volume of
 1 m^2 rad."""

@@ -22,6 +22,7 @@ from impslam.columns import Motions
 from impslam.geometry.algebra import between, invert, rotate_covariance, solve
 from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.chain import advance, advance_pose
+from impslam.geometry.chi_square import GATE_3D_9999
 from impslam.geometry.kernels import kernel
 from impslam.health import NONE, OPPOSED, PUSHED, SLIPPED, Reasons
 from impslam.surfaces.features import Features, leave_out_oblique
@@ -43,8 +44,8 @@ WINDOW = 3.0
 """s over which both motions are compared: at 5 cm/s the robot moves 15 cm, which scans show."""
 MAX_SCANS = 300
 """Scans in the window, a bound for clocks that stand still: those of a lidar of 100 Hz."""
-GATE = 21.1
-"""d^T S^-1 d that one comparison in 10 000 exceeds by chance (chi-square, three degrees of freedom)."""
+GATE = GATE_3D_9999
+"""d^T S^-1 d that one comparison in 10 000 exceeds by chance."""
 UNKNOWN_MOTION_SIGMA = np.array([1.0, 0.5, 1.0])
 """m, m, rad, all /sqrt(s): motion forward, sideways and in heading while odometry cannot be trusted: that
 of a robot at walking pace whose speed changes each second."""

@@ -349,6 +349,28 @@ def test_a_moved_edge_has_the_errors_of_both_parts(rng):
         )
 
 
+def test_a_closure_along_a_corridor_can_be_moved_to_a_host():
+    """It has no information along the corridor, and gets none."""
+    truth = square(n=2)
+    graph = grown(truth)
+    folded(graph, truth, 7, 1)
+    graph.close(7, 3, between(truth[7], truth[3]), np.diag([0.0, 1e4, 1e5]))
+    values = np.linalg.eigvalsh(graph.edges.information[-1])
+    assert values[0] == pytest.approx(0.0, abs=1e-3)
+    assert values[1] > 1.0
+    graph.solve()
+    assert np.abs(wrapped(graph.poses - truth, 2)).max() < 1e-6
+
+
+def test_a_motion_without_noise_is_refused_as_a_whole():
+    graph = grown(square())
+    n, edges = len(graph), graph.edges
+    with pytest.raises(NumericalError, match="singular"):
+        graph.extend(np.array([1.0, 0.0, 0.0]), np.zeros((3, 3)), 1.0)
+    assert len(graph) == n
+    np.testing.assert_array_equal(graph.edges.information, edges.information)
+
+
 def test_folding_a_leaf_does_not_change_the_others():
     truth = square(n=2)
     graph, twin = grown(truth), grown(truth[:-1])

@@ -22,6 +22,7 @@ from impslam.geometry.se2 import (
     compose_uncertain,
     exp,
     inverse,
+    inverse_uncertain,
     log,
     rotation,
     sinc_cosc,
@@ -73,6 +74,17 @@ def test_sinc_cosc_are_exact_to_rounding(theta, sign):
 
 def test_sinc_cosc_at_zero():
     assert sinc_cosc(0.0) == sinc_cosc(-0.0) == (1.0, 0.0)
+
+
+@given(poses)
+def test_the_covariance_of_an_inverse_is_propagated_by_its_jacobian(a):
+    P = np.array([[2.0, 0.3, 0.1], [0.3, 1.0, -0.2], [0.1, -0.2, 0.5]])
+    J = jacobian(lambda v: wrapped(inverse(v) - inverse(a), 2), a)
+    back, spread = inverse_uncertain(a, P)
+    np.testing.assert_array_equal(back, inverse(a))
+    np.testing.assert_allclose(spread, J @ P @ J.T, atol=1e-6 * (1.0 + np.abs(a).max()) ** 2)
+    again = inverse_uncertain(np.stack([back, back]), np.stack([spread, spread]))[1]
+    np.testing.assert_allclose(again, [P, P], atol=1e-9 * (1.0 + np.abs(a).max()) ** 2)
 
 
 @given(angle)

@@ -211,13 +211,13 @@ class Graph(Estimator):
         If the graph then has no solution, the closures are removed, else no later ones would have any.
         """
         graph, sessions = copy(self._graph), self._sessions.copy()
-        moved = close()
-        if moved:
-            try:
+        try:
+            moved = close()
+            if moved:
                 self._graph.solve()
-            except NumericalError:
-                self._graph, self._sessions = graph, sessions
-                raise
+        except NumericalError:
+            self._graph, self._sessions = graph, sessions
+            raise
         if sessions.is_assumed:
             self._sessions.confirm(self._graph.closures - graph.closures, self._graph)
         return moved

@@ -13,6 +13,7 @@ from impslam.building.sightings import SightingsLog
 from impslam.estimators.pose_graph import PoseGraph
 from impslam.geometry.angles import wrap
 from impslam.geometry.chain import advance
+from impslam.geometry.covariances import inverse_of
 from impslam.geometry.kernels import kernel
 from impslam.geometry.se2 import between, compose, inverse, motion_lengths
 from impslam.graph.bearings import ScanFeatures
@@ -328,5 +329,4 @@ def motions(keys: KeyframeLog, rows: Ints) -> Edges:
     k = np.flatnonzero(is_within & (keys.is_kept[:-1] | keys.is_kept[1:]))
     T = compose(keys.T_host[k], between(keys.chain[k], keys.chain[k + 1]))
     T = compose(T, inverse(keys.T_host[k + 1]))
-    information = np.asarray(np.linalg.inv(keys.steps[k + 1]))
-    return Edges(i[k], j[k], T, information, np.full(len(k), np.inf))
+    return Edges(i[k], j[k], T, inverse_of(keys.steps[k + 1]), np.full(len(k), np.inf))

@@ -17,6 +17,7 @@ import numpy as np
 from impslam.errors import NumericalError
 from impslam.estimators.keyframe_log import KeyframeLog, revised
 from impslam.estimators.pose_graph import CLOSURE_LENGTH, PoseGraph
+from impslam.geometry.covariances import inverse_of
 from impslam.geometry.se2 import between
 from impslam.noise import UNKNOWN
 from impslam.parameters import Parameters, parameter
@@ -342,7 +343,7 @@ def agree(one: PendingClosure, other: PendingClosure, graph: PoseGraph) -> bool:
 
 def _relation(pending: PendingClosure) -> Relation:
     information = pending.closure.information + np.eye(3) / UNKNOWN  # 0 along a corridor
-    return Relation(pending.closure.pose, np.asarray(np.linalg.inv(information)))
+    return Relation(pending.closure.pose, inverse_of(information))
 
 
 def add(pending: PendingClosure, graph: PoseGraph) -> bool:

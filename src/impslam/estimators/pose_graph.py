@@ -13,18 +13,20 @@ from typing import Any
 import numpy as np
 
 from impslam.geometry.chain import advance
+from impslam.geometry.covariances import inverse_of
 from impslam.geometry.kernels import kernel
 from impslam.geometry.se2 import (
     between,
     block_rotation,
     compose,
-    compose_jacobians,
     compose_uncertain,
     inverse,
+    inverse_uncertain,
 )
 from impslam.graph.edges import roots
 from impslam.graph.solve import marginals, solve
 from impslam.growing_array import GrowingArray
+from impslam.noise import UNKNOWN
 from impslam.types import Array, Edges, Ints, Mask
 
 KERNEL = 25.0
@@ -99,8 +101,8 @@ class PoseGraph:
 
     def extend(self, T: Array, covariance: Array, length: float) -> None:
         """Add a node after the motion T (3,) of covariance (3, 3) and path length `length`, m."""
+        information = inverse_of(covariance)
         self.add_root(*compose_uncertain(self.poses[-1], self.covariances[-1], T, covariance))
-        information = np.asarray(np.linalg.inv(covariance))
         self._add(len(self) - 2, len(self) - 1, T, information, math.inf, length)
 
     def close(
@@ -111,9 +113,10 @@ class PoseGraph:
         `T_i_j` (3,) is the pose of node j in node i, with its `information` (3, 3).
         The first closure between two sessions moves the later one accordingly.
         """
+        edge = self._between_hosts(i, j, T_i_j, information)
         joins = self._join(i, j, T_i_j)
         self.closures += 1
-        self._add(*self._between_hosts(i, j, T_i_j, information), KERNEL, length)
+        self._add(*edge, KERNEL, length)
         d = between(between(self.poses[i], self.poses[j]), T_i_j)
         return joins or bool(
             math.hypot(d[0], d[1]) > MIN_CORRECTION[0] or abs(d[2]) > MIN_CORRECTION[1]
@@ -146,14 +149,12 @@ class PoseGraph:
         )
         if len(crossing) != 1 or (self.hosts[node:] < node).any():
             return None
-        information = edges.information[crossing[0]]
+        covariance = inverse_of(edges.information[crossing[0]])
         self.closures -= int(np.isfinite(edges.kernel[crossing[0]]))
         self._roots = None
         for column in self._edges:
             column.remove(crossing)
-        return between(self.poses[node - 1], self.poses[node]), np.asarray(
-            np.linalg.inv(information)
-        )
+        return between(self.poses[node - 1], self.poses[node]), covariance
 
     def _add(self, *edge: Any) -> None:
         self._roots = None
@@ -205,11 +206,10 @@ class PoseGraph:
         """Return an edge between the hosts of its ends."""
         if not (self.is_folded[i] or self.is_folded[j]):
             return i, j, T_i_j, information
-        T, P = T_i_j, np.asarray(np.linalg.inv(information))
         T_host, P_host = self._T_host_node, self._host_covariances
-        T, P = compose_uncertain(T_host[i], P_host[i], T, P)
-        T, P = _reversed(*compose_uncertain(T_host[j], P_host[j], *_reversed(T, P)))
-        return self.hosts[i], self.hosts[j], T, np.asarray(np.linalg.inv(P))
+        edge = T_i_j, inverse_of(information + np.eye(3) / UNKNOWN)  # 0 along a corridor
+        T, P = between_hosts((T_host[i], P_host[i]), edge, (T_host[j], P_host[j]))
+        return self.hosts[i], self.hosts[j], T, inverse_of(P)
 
     def _merge(self, *edge: Any) -> None:
         """Add an edge; if there is one of its kind already, keep only the more accurate one."""
@@ -284,12 +284,14 @@ def _columns() -> tuple[GrowingArray, ...]:
     return i, j, GrowingArray(3), GrowingArray(3, 3), GrowingArray(), GrowingArray()
 
 
-def _reversed(T_i_j: Array, covariance: Array) -> tuple[Array, Array]:
-    """Return T_j_i and its covariance: from compose(T, inverse(T)) = 0, differentiated."""
-    T_j_i = inverse(T_i_j)
-    by_first, by_second = compose_jacobians(T_i_j, T_j_i)
-    J = by_second.T @ by_first  # the second one is a rotation
-    return T_j_i, np.asarray(J @ covariance @ J.T)
+def between_hosts(
+    at_i: tuple[Array, Array], edge: tuple[Array, Array], at_j: tuple[Array, Array]
+) -> tuple[Array, Array]:
+    """Return an edge between the hosts of its ends, given where these are relative to the hosts.
+
+    All are poses (..., 3) and covariances (..., 3, 3).
+    """
+    return compose_uncertain(*compose_uncertain(*at_i, *edge), *inverse_uncertain(*at_j))
 
 
 @kernel

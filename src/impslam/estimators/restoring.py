@@ -14,6 +14,7 @@ from impslam.estimators.base import MIN_SIGMA
 from impslam.estimators.keyframe_log import DRIVEN_PER_RADIAN, KeyframeLog
 from impslam.estimators.pose_graph import CLOSURE_LENGTH, PoseGraph
 from impslam.geometry.chain import advance
+from impslam.geometry.covariances import inverse_of
 from impslam.geometry.se2 import between, compose, inverse, motion_lengths
 from impslam.graph.edges import roots
 from impslam.map import Keyframes, Map, session_starts
@@ -152,7 +153,7 @@ def _connected(rows: Keyframes, nodes: Ints, hosts: Ints, edges: Edges) -> Edges
     for before, n in zip(unfolded[:-1].tolist(), unfolded[1:].tolist(), strict=True):
         if rows.sessions[nodes[before]] == rows.sessions[nodes[n]] and root[before] != root[n]:
             T, covariance = _motion(rows, int(nodes[before]), int(nodes[n]))
-            motions.append((before, n, T, np.linalg.inv(covariance), math.inf))
+            motions.append((before, n, T, inverse_of(covariance), math.inf))
             root[root == root[n]] = root[before]
     if not motions:
         return edges

@@ -26,6 +26,7 @@ from impslam.estimators.loop_closing import (
 )
 from impslam.estimators.pose_graph import PoseGraph
 from impslam.estimators.session_finder import SessionFinder
+from impslam.geometry.covariances import inverse_of
 from impslam.geometry.se2 import between, compose
 from impslam.recognition.beams import MAX_MISFIT
 from impslam.recognition.correlative import Window
@@ -263,7 +264,7 @@ class SessionPlacer:
     def _join_breaks(self, graph: PoseGraph) -> None:
         """Join sessions by the motions from odometry, robustly: wrong ones have little weight."""
         for gap in self._breaks:
-            information = np.asarray(np.linalg.inv(gap.covariance))
+            information = inverse_of(gap.covariance)
             length = max(BREAK_LENGTH, self._closer.length(gap.radius))
             graph.close(gap.node - 1, gap.node, gap.motion, information, length)
         self._breaks, self._compared, self._closures = [], [], []

@@ -64,6 +64,15 @@ def inverse(T_a_b: Array) -> Array:
     return _inverse(flat).reshape(shape)
 
 
+def inverse_uncertain(T_a_b: Array, P: Array) -> tuple[Array, Array]:
+    """Return `T_b_a` and its covariance to first order, from that P (..., 3, 3) of `T_a_b`."""
+    T_b_a = inverse(T_a_b)
+    by_first, by_second = compose_jacobians(T_a_b, T_b_a)
+    # From compose(T, inverse(T)) = 0, differentiated; the second Jacobian is a rotation.
+    J = np.swapaxes(by_second, -1, -2) @ by_first
+    return T_b_a, np.asarray(J @ P @ np.swapaxes(J, -1, -2))
+
+
 def between(T_a_b: Array, T_a_c: Array) -> Array:
     """Return `T_b_c` (..., 3): frame c seen from frame b."""
     return compose(inverse(T_a_b), T_a_c)

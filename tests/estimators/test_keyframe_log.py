@@ -18,9 +18,10 @@ from tests.filters.worlds import observe
 from tests.numeric import wrapped
 
 from impslam.estimators.base import MIN_SIGMA
-from impslam.estimators.keyframe_log import KeyframeLog, blended, refined, revised
+from impslam.estimators.keyframe_log import NO_POINTS, KeyframeLog, blended, refined, revised
+from impslam.estimators.keyframe_log import motions as log_motions
 from impslam.estimators.pose_graph import PoseGraph
-from impslam.geometry.se2 import between, compose
+from impslam.geometry.se2 import between, compose, inverse
 
 WAY = way(*LAP[:3])
 START = np.array([3.0, -2.0, 2.5])
@@ -53,6 +54,30 @@ def test_the_chain_is_the_motions_composed_from_the_start():
     keys, _ = logged(motions(WAY), start=START)
     assert apart(keys.chain, compose(START, between(WAY[0], WAY))) < 1e-12
     assert len(keys) == len(WAY)
+
+
+def test_a_motion_between_hosts_has_the_errors_of_the_tracked_one(rng):
+    """Keyframe 2 is replaced by keyframe 0, which is turned by 2.2 rad and 0.3 m away from it."""
+    d = np.array([[0.0, 0.0, 0.0], [1.0, 0.2, 0.4], [0.8, -0.1, -0.3], [0.5, 0.3, 0.6]])
+    keys, spread = KeyframeLog(), np.diag(np.array([0.03, 0.005, 0.02]) ** 2)
+    for k, motion in enumerate(d):
+        keys.append(motion, spread, None, START if k == 0 else None)
+        keys.points.append(NO_POINTS)
+    T_host = np.array([0.3, -0.1, 2.2])
+    keys.drop(np.array([2]), np.array([0]), T_host[None])
+    rows = np.array([0, 1, 3])
+    edges = log_motions(keys, rows)
+    assert [*zip(edges.i.tolist(), edges.j.tolist(), strict=True)] == [(0, 1), (1, 0), (0, 2)]
+    n = 20000
+    for row, k in ((1, 2), (2, 3)):
+        motion = d[k] + rng.multivariate_normal(np.zeros(3), spread, n)
+        at = compose(T_host, motion) if k == 3 else compose(motion, inverse(T_host))
+        error = wrapped(at - edges.T_i_j[row], 2)
+        assert np.abs(error.mean(0)).max() < 4.0 * np.sqrt(spread.max() / n)
+        covariance = np.linalg.inv(edges.information[row])
+        np.testing.assert_allclose(
+            np.cov(error.T), covariance, rtol=0.06, atol=0.02 * covariance.max()
+        )
 
 
 def test_distance_counts_driving_and_turning():

@@ -10,12 +10,12 @@ import numpy as np
 import numpy.typing as npt
 
 from impslam.building.sightings import SightingsLog
-from impslam.estimators.pose_graph import PoseGraph
+from impslam.estimators.pose_graph import PoseGraph, between_hosts
 from impslam.geometry.angles import wrap
 from impslam.geometry.chain import advance
 from impslam.geometry.covariances import inverse_of
 from impslam.geometry.kernels import kernel
-from impslam.geometry.se2 import between, compose, inverse, motion_lengths
+from impslam.geometry.se2 import between, compose, motion_lengths
 from impslam.graph.bearings import ScanFeatures
 from impslam.graph.bundle import RefinementSettings, refine
 from impslam.graph.overlaps import Nearness, overlaps
@@ -327,6 +327,8 @@ def motions(keys: KeyframeLog, rows: Ints) -> Edges:
     i, j = index[keys.hosts[:-1]], index[keys.hosts[1:]]
     is_within = (i >= 0) & (j >= 0) & (i != j) & (np.diff(keys.sessions) == 0)
     k = np.flatnonzero(is_within & (keys.is_kept[:-1] | keys.is_kept[1:]))
-    T = compose(keys.T_host[k], between(keys.chain[k], keys.chain[k + 1]))
-    T = compose(T, inverse(keys.T_host[k + 1]))
-    return Edges(i[k], j[k], T, inverse_of(keys.steps[k + 1]), np.full(len(k), np.inf))
+    step, none = between(keys.chain[k], keys.chain[k + 1]), np.zeros((len(k), 3, 3))
+    T, P = between_hosts(
+        (keys.T_host[k], none), (step, keys.steps[k + 1]), (keys.T_host[k + 1], none)
+    )
+    return Edges(i[k], j[k], T, inverse_of(P), np.full(len(k), np.inf))

@@ -186,7 +186,7 @@ def test_a_closure_with_a_dropped_keyframe_is_not_one_with_its_neighbour():
             graph.extend(still, np.eye(3), 1.0)
         else:
             graph.add_root(still, np.eye(3))
-    graph.close(0, 2, np.array([1.0, 0.0, 0.0]), np.eye(3))
+    graph.add_closure(0, 2, np.array([1.0, 0.0, 0.0]), np.eye(3))
     assert _refinable(keys, graph).links.j.tolist() == [2]
     keys.drop(np.array([2]), np.array([0]), np.zeros((1, 3)))
     part = _refinable(keys, graph)
@@ -321,7 +321,7 @@ def test_a_closure_without_a_solution_does_not_block_later_ones(frames, monkeypa
 
     def spoilt(self, node, keys, graph):
         if len(told) < 1:
-            told.append(graph.close(0, node, np.full(3, np.nan), np.eye(3)))
+            told.append(graph.add_closure(0, node, np.full(3, np.nan), np.eye(3)))
             return True
         return search(self, node, keys, graph)
 

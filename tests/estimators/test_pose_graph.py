@@ -29,7 +29,7 @@ def grown(truth, drift=(0.0, 0.0, 0.0), length=2.5):
 
 
 def closed(graph, truth, i, j, T=None):
-    return graph.close(i, j, between(truth[i], truth[j]) if T is None else T, FIRM)
+    return graph.add_closure(i, j, between(truth[i], truth[j]) if T is None else T, FIRM)
 
 
 def square(n=8, side=5.0):
@@ -122,7 +122,7 @@ def test_a_closure_triggers_a_solution_by_its_correction(shift, new):
 def test_a_heading_beyond_pi_triggers_no_solution():
     graph = grown(np.array([[0.0, 0.0, 3.1], [1.0, 0.0, -3.1]]))
     T = between(graph.poses[0], graph.poses[1])
-    assert not graph.close(0, 1, T + np.array([0.0, 0.0, 2.0 * math.pi]), FIRM)
+    assert not graph.add_closure(0, 1, T + np.array([0.0, 0.0, 2.0 * math.pi]), FIRM)
 
 
 def test_a_rigid_motion_of_the_start_moves_everything():
@@ -132,7 +132,7 @@ def test_a_rigid_motion_of_the_start_moves_everything():
         grown(compose(motion, truth), (0.002, 0.001, 0.01)),
     )
     for graph in (one, two):
-        graph.close(0, 32, np.zeros(3), FIRM)
+        graph.add_closure(0, 32, np.zeros(3), FIRM)
         graph.solve()
     assert np.abs(wrapped(compose(motion, one.poses) - two.poses, 2)).max() < 1e-8
 
@@ -195,7 +195,7 @@ def test_without_a_solution_the_nodes_stay_where_they_are():
     truth = square()
     graph = grown(truth, drift=(0.0, 0.0, 0.01))
     poses, covariances = graph.poses.copy(), graph.covariances.copy()
-    graph.close(0, 32, np.array([np.nan, 0.0, 0.0]), FIRM)
+    graph.add_closure(0, 32, np.array([np.nan, 0.0, 0.0]), FIRM)
     with pytest.raises(NumericalError, match="not finite"):
         graph.solve()
     np.testing.assert_array_equal(graph.poses, poses)
@@ -208,12 +208,12 @@ def test_a_copy_does_not_know_later_closures():
     for one in (spoilt, twin):
         closed(one, truth, 0, 32)
     before, graph = spoilt.edges, copy(spoilt)
-    spoilt.close(1, 31, np.full(3, np.nan), FIRM)
-    spoilt.close(2, 30, np.full(3, np.nan), FIRM)
+    spoilt.add_closure(1, 31, np.full(3, np.nan), FIRM)
+    spoilt.add_closure(2, 30, np.full(3, np.nan), FIRM)
     assert graph.closures == 1
     for one in (graph, twin):
         one.extend(np.array([1.0, 0.0, 0.0]), Q, 1.0)
-        one.close(1, 33, np.zeros(3), FIRM)
+        one.add_closure(1, 33, np.zeros(3), FIRM)
         one.solve()
     np.testing.assert_array_equal(graph.poses, twin.poses)
     np.testing.assert_array_equal(graph.path_lengths(5), twin.path_lengths(5))
@@ -232,7 +232,7 @@ def test_a_graph_is_cut_at_a_motion():
     assert graph.roots.tolist() == [0] * 20 + [20] * (len(graph) - 20)
     assert not other.roots.any()
     np.testing.assert_array_equal(graph.poses, before)
-    graph.close(19, 20, motion, np.linalg.inv(covariance))
+    graph.add_closure(19, 20, motion, np.linalg.inv(covariance))
     graph.solve()
     np.testing.assert_allclose(graph.poses, before, atol=1e-9)
 
@@ -240,7 +240,7 @@ def test_a_graph_is_cut_at_a_motion():
 def test_a_closure_that_is_cut_does_not_count_any_more():
     graph = grown(square())
     graph.add_root(np.zeros(3), np.zeros((3, 3)))
-    graph.close(len(graph) - 2, len(graph) - 1, np.zeros(3), FIRM)
+    graph.add_closure(len(graph) - 2, len(graph) - 1, np.zeros(3), FIRM)
     assert graph.closures == 1
     assert graph.cut(len(graph) - 1) is not None
     assert graph.closures == 0
@@ -265,7 +265,7 @@ def test_the_path_along_a_chain_is_its_length(rng):
 
 def test_a_closure_is_a_short_cut(rng):
     graph = grown(grid_walk(11, rng), length=2.0)
-    graph.close(1, 9, np.zeros(3), FIRM)
+    graph.add_closure(1, 9, np.zeros(3), FIRM)
     ways = graph.path_lengths(10)
     np.testing.assert_allclose(ways[[10, 9, 1, 0, 2, 5]], [0.0, 2.0, 2.5, 4.5, 4.5, 10.0])
 
@@ -279,7 +279,7 @@ def test_path_lengths_are_the_shortest(rng):
     edges = [(k, k + 1, 2.5) for k in range(n - 1)]
     for _ in range(8):
         i, j = sorted(rng.choice(n, 2, replace=False).tolist())
-        graph.close(i, j, np.zeros(3), FIRM)
+        graph.add_closure(i, j, np.zeros(3), FIRM)
         edges.append((i, j, 0.5))
     for i, j, length in edges:
         apart[i, j] = apart[j, i] = min(apart[i, j], length)
@@ -296,7 +296,7 @@ def test_a_copy_does_not_change_while_the_graph_grows():
     graph.extend(step, 1e-4 * np.eye(3), 1.0)
     before = copy(graph)
     graph.extend(step, 1e-4 * np.eye(3), 1.0)
-    graph.close(0, 2, np.array([2.0, 0.1, 0.0]), 1e4 * np.eye(3))
+    graph.add_closure(0, 2, np.array([2.0, 0.1, 0.0]), 1e4 * np.eye(3))
     assert (len(before), len(before.edges.i), before.closures) == (2, 1, 0)
     before.solve()
     np.testing.assert_allclose(before.poses[1], step, atol=1e-12)
@@ -354,7 +354,7 @@ def test_a_closure_along_a_corridor_can_be_moved_to_a_host():
     truth = square(n=2)
     graph = grown(truth)
     folded(graph, truth, 7, 1)
-    graph.close(7, 3, between(truth[7], truth[3]), np.diag([0.0, 1e4, 1e5]))
+    graph.add_closure(7, 3, between(truth[7], truth[3]), np.diag([0.0, 1e4, 1e5]))
     values = np.linalg.eigvalsh(graph.edges.information[-1])
     assert values[0] == pytest.approx(0.0, abs=1e-3)
     assert values[1] > 1.0
@@ -463,7 +463,7 @@ def test_a_copy_does_not_change():
     before = still.edges
     graph.extend(np.array([1.0, 0.0, 0.0]), Q, 1.0)
     folded(graph, truth, 10, 3)
-    graph.close(0, 20, np.zeros(3), FIRM)
+    graph.add_closure(0, 20, np.zeros(3), FIRM)
     graph.solve()
     assert len(still) == 20
     for one, other in zip(still.edges, before, strict=True):
@@ -485,7 +485,7 @@ def test_roots_follow_each_change_of_the_graph():
     graph.extend(np.array([1.0, 0.0, 0.0]), 1e-4 * np.eye(3), 1.0)
     assert graph.roots.tolist() == [*[0] * n, n, n]
     snapshot = copy(graph)
-    graph.close(0, n, np.zeros(3), np.eye(3))
+    graph.add_closure(0, n, np.zeros(3), np.eye(3))
     assert graph.roots.tolist() == [0] * (n + 2)
     assert snapshot.roots.tolist() == [*[0] * n, n, n]
     chain = grown(square(3))

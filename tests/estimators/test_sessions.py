@@ -93,7 +93,7 @@ def test_a_closure_joins_a_session_to_the_map(frames):
     (i,) = np.flatnonzero(keys.nodes == 0)
     j = len(graph) - 1
     T = between(TRUTH[0], TRUTH[keys.nodes[j]])
-    assert graph.close(int(i), j, T, FIRM)
+    assert graph.add_closure(int(i), j, T, FIRM)
     graph.solve()
     revision = made.refine()
     assert np.all(revision.placed)

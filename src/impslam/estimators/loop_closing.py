@@ -52,6 +52,11 @@ its own, at which they contradict each other, unless a strong closure joins them
 three recorded buildings it is at most 0.02, in simulations of an office with 50 chairs and of a hall with
 20 people at most 0.05, and 0.11 to 0.5 for carried robots."""
 MIN_CONTRADICTIONS = 3  # nodes in a row: 7 m of driving
+CLOSE_BY = 2.0
+"""m outside of its window within which a candidate is tried: others of its submap may be inside."""
+DRIFT, MIN_DRIFT = (0.01, 0.002), (0.05, 0.01)
+"""m and rad per m driven, and m and rad: standard deviations of the drift between two closures that have to
+agree, the second ones over any distance. A quarter of the margins in `LoopSearch`."""
 
 
 class LoopSearch(Parameters):
@@ -200,10 +205,11 @@ class LoopCloser:
         """
         search, windows = self._search, self._radius(paths)
         offsets = np.hypot(*(graph.poses[:, :2] - graph.poses[node, :2]).T)
-        possible = (paths > search.min_path) & (offsets < windows + 2.0) & np.isfinite(paths)
+        possible = (paths > search.min_path) & (offsets < windows + CLOSE_BY) & np.isfinite(paths)
         possible[node:] = False
         possible &= ~graph.is_folded
-        rank = np.where(possible, offsets / (windows + 2.0) + 1e-4 * paths, np.inf)
+        # Of places at the same offset, the pass with the shorter path is the more certain one.
+        rank = np.where(possible, offsets / (windows + CLOSE_BY) + 1e-4 * paths, np.inf)
         driven = keys.distance[keys.nodes]
         chosen: list[int] = []
         wide = int(windows[np.argmin(rank)] / REFERENCE_RADIUS)
@@ -296,21 +302,21 @@ class LoopCloser:
     def _accept(self, new: PendingClosure, graph: PoseGraph, window: float) -> bool:
         """Add a closure and those that agree with it to the graph, or keep it pending."""
         if window <= SAFE_WINDOW:
-            return new.is_strong and add(new, graph)
+            return new.is_strong and add_to_graph(new, graph)
         self._pending = [
             p for p in self._pending if new.distance - p.distance <= CONFIRMATION_DISTANCE
         ]
         agreeing = [
             p
             for p in self._pending
-            if p.closure.has_position == new.closure.has_position and agree(p, new, graph)
+            if p.closure.has_position == new.closure.has_position and closures_agree(p, new, graph)
         ]
         evidence = sum(p.evidence for p in (*agreeing, new))
         if not agreeing or evidence < self._min_evidence(new, graph):
             self._pending.append(new)
             return False
         self._pending = []
-        added = [add(p, graph) for p in (*agreeing, new)]
+        added = [add_to_graph(p, graph) for p in (*agreeing, new)]
         return any(added)
 
     def _min_evidence(self, new: PendingClosure, graph: PoseGraph) -> float:
@@ -331,11 +337,11 @@ def _submap(
     return gather(views, poses[seen], frame, *extent) if views else None
 
 
-def agree(one: PendingClosure, other: PendingClosure, graph: PoseGraph) -> bool:
+def closures_agree(one: PendingClosure, other: PendingClosure, graph: PoseGraph) -> bool:
     """Return whether two closures are consistent, up to the drift between their ends."""
     distance = abs(other.distance - one.distance)
-    sigma, turn_sigma = 0.05 + 0.01 * distance, 0.01 + 0.002 * distance
-    drift = np.diag([sigma**2, sigma**2, turn_sigma**2])
+    position, heading = np.array(MIN_DRIFT) + np.array(DRIFT) * distance
+    drift = np.diag([position**2, position**2, heading**2])
     references = Relation(between(graph.poses[one.i], graph.poses[other.i]), drift)
     queries = Relation(between(graph.poses[one.j], graph.poses[other.j]), drift)
     return consistent(_relation(one), _relation(other), references, queries)
@@ -346,11 +352,11 @@ def _relation(pending: PendingClosure) -> Relation:
     return Relation(pending.closure.pose, inverse_of(information))
 
 
-def add(pending: PendingClosure, graph: PoseGraph) -> bool:
+def add_to_graph(pending: PendingClosure, graph: PoseGraph) -> bool:
     """Add a closure to the graph; return whether it must be solved.
 
     One without a position does not limit the drift along the corridor, so it shortens no path.
     """
     i, j, found = pending.i, pending.j, pending.closure
     length = CLOSURE_LENGTH if found.has_position else math.inf
-    return graph.close(i, j, found.pose, found.information, length)
+    return graph.add_closure(i, j, found.pose, found.information, length)

@@ -105,7 +105,7 @@ class PoseGraph:
         self.add_root(*compose_uncertain(self.poses[-1], self.covariances[-1], T, covariance))
         self._add(len(self) - 2, len(self) - 1, T, information, math.inf, length)
 
-    def close(
+    def add_closure(
         self, i: int, j: int, T_i_j: Array, information: Array, length: float = CLOSURE_LENGTH
     ) -> bool:
         """Add a closure, as certain as the drift over `length` m; return whether the graph must be solved.

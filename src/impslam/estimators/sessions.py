@@ -21,8 +21,8 @@ from impslam.estimators.loop_closing import (
     Comparison,
     LoopCloser,
     PendingClosure,
-    add,
-    agree,
+    add_to_graph,
+    closures_agree,
 )
 from impslam.estimators.pose_graph import PoseGraph
 from impslam.estimators.session_finder import SessionFinder
@@ -110,7 +110,7 @@ class SessionPlacer:
             return False
         if self._is_recognised(node, keys, graph):
             for closure in self._closures:
-                add(closure, graph)
+                add_to_graph(closure, graph)
             self._join_breaks(graph)
             return True
         if not self._may_assume_odometry(node, keys):
@@ -147,7 +147,7 @@ class SessionPlacer:
             if guess is not None and (guess.likely or not self._is_at(guess.pose, node, graph)):
                 self._closures = []
             return False
-        if not all(agree(closure, new, graph) for closure in self._closures):
+        if not all(closures_agree(closure, new, graph) for closure in self._closures):
             self._closures = []
         self._closures.append(new)
         if guess is not None and guess.hinted:
@@ -266,7 +266,7 @@ class SessionPlacer:
         for gap in self._breaks:
             information = inverse_of(gap.covariance)
             length = max(BREAK_LENGTH, self._closer.length(gap.radius))
-            graph.close(gap.node - 1, gap.node, gap.motion, information, length)
+            graph.add_closure(gap.node - 1, gap.node, gap.motion, information, length)
         self._breaks, self._compared, self._closures = [], [], []
 
 

@@ -13,7 +13,7 @@ from impslam.geometry.angles import wrap
 from impslam.geometry.se2 import compose
 from impslam.health import LOST
 from impslam.noise import UNKNOWN
-from impslam.sensors.deskewing import deskew_sweeps
+from impslam.sensors.deskewing import RangeCalibration, deskew_sweeps
 from impslam.simulation.robot import Lidar, SimulatedRobot
 from impslam.simulation.simulate import simulate
 from impslam.simulation.world import World, load_world
@@ -31,9 +31,9 @@ def sensed(twist):
     """Return end points, origins and directions of a sweep, as the sensor de-skews it with a twist."""
     ranges = 2.0 + np.sin(7.0 * np.linspace(-np.pi, np.pi, BEAMS))[None]
     beams = np.column_stack([np.linspace(-np.pi, np.pi, BEAMS), AFTER])
-    limits, mount = np.array([1.0, 0.0, 0.0, 50.0]), np.array([0.2, 0.1, 0.3])
+    calibration, mount = RangeCalibration(1.0, 0.0, 0.0, 50.0, 0.01, 0.0), np.array([0.2, 0.1, 0.3])
     seen = np.ones(BEAMS, np.bool_)
-    parts = deskew_sweeps(ranges, beams, seen, twist[None], mount, limits, np.array([0.01, 0.0]))
+    parts = deskew_sweeps(ranges, beams, seen, twist[None], mount, calibration)
     return parts[2][0], parts[4][0], parts[3][0]
 
 

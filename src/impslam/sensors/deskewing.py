@@ -11,11 +11,31 @@ range_max, at which a surface hardly ever is; lidars report error codes below th
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from impslam.geometry.kernels import kernel
 from impslam.geometry.se2 import sinc_cosc
 from impslam.types import Array, Mask
+
+
+class RangeCalibration(NamedTuple):
+    """How received ranges become metres.
+
+    Attributes
+    ----------
+    scale, offset : m per received unit, and m
+    low, high : limits of the received ranges
+    sigma, sigma_per_m : standard deviation of a range at 0 (m), and its increase per metre of range
+    """
+
+    scale: float
+    offset: float
+    low: float
+    high: float
+    sigma: float
+    sigma_per_m: float
 
 
 @kernel
@@ -25,21 +45,19 @@ def deskew_sweeps(
     in_field: Mask,
     twists: Array,
     mount: Array,
-    calibration: Array,
-    noise: Array,
+    calibration: RangeCalibration,
 ) -> tuple[Array, Mask, Array, Array, Array, Array]:
     """Return sweeps of n beams in base_link at the middle of each.
 
     Parameters
     ----------
-    ranges : (m, n) m, as received
+    ranges : (m, n) as received
     beams : (n, 2) rad and s; angle about the z axis of base_link, 0 ahead of the laser, and time after the
         middle of the sweep
     in_field : (n,) which beams are within the field of view
     twists : (m, 3) m/s, m/s, rad/s, of the body over each sweep
     mount : (3,) `T_base_laser`
-    calibration : (4,) scale and offset (m) of the ranges; limits (m) of the received ranges
-    noise : (2,) standard deviation of a range at 0 (m), and its increase per metre of range
+    calibration : of the ranges
 
     Returns
     -------
@@ -54,8 +72,8 @@ def deskew_sweeps(
         vx, vy, omega = twists[k]
         for i in range(n):
             r = ranges[k, i]
-            usable = in_field[i] and calibration[2] <= r < calibration[3] and r > 0.0
-            r = calibration[0] * r + calibration[1] if usable else 0.0
+            usable = in_field[i] and calibration.low <= r < calibration.high and r > 0.0
+            r = calibration.scale * r + calibration.offset if usable else 0.0
             t = beams[i, 1]
             theta = omega * t
             a, b = sinc_cosc(theta)
@@ -63,7 +81,7 @@ def deskew_sweeps(
             x = t * (a * vx - b * vy) + c * mount[0] - s * mount[1]
             y = t * (b * vx + a * vy) + s * mount[0] + c * mount[1]
             calibrated[k, i], valid[k, i] = r, usable
-            sigmas[k, i] = noise[0] + noise[1] * r
+            sigmas[k, i] = calibration.sigma + calibration.sigma_per_m * r
             directions[k, i] = theta + heading[i]
             origins[k, i, 0], origins[k, i, 1] = x, y
             points[k, i, 0] = x + r * (c * cosines[i] - s * sines[i])

@@ -14,7 +14,7 @@ from impslam.extractors.base import Extractor
 from impslam.geometry.kernels import plain
 from impslam.sensors.base import Sensor
 from impslam.sensors.clock import SweepClock
-from impslam.sensors.deskewing import deskew_sweeps
+from impslam.sensors.deskewing import RangeCalibration, deskew_sweeps
 from impslam.types import Array, LaserScan, Mask, Message, Observation, Scan, range_limits
 
 
@@ -157,8 +157,9 @@ class Lidar2D(Sensor):
             self.in_field(self.angle_scale * sent),
             twists if self.deskew else np.zeros_like(twists),
             np.array(self.mount),
-            np.array([self.range_scale, self.range_offset, low, high]),
-            np.array([self.sigma, self.sigma_per_m]),
+            RangeCalibration(
+                self.range_scale, self.range_offset, low, high, self.sigma, self.sigma_per_m
+            ),
         )
         same = self.bias, high, np.array(self.mount), columns["intensities"]
         is_skewed = self.deskew and after.any()

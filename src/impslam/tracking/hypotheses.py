@@ -43,8 +43,15 @@ SLIP_SIGMAS = 3.0
 """Standard deviations of odometry; a larger difference from it is a slip."""
 SEARCH_HEADINGS, SEARCH_TURN, SEARCH_OFFSET = 9, 0.06, 0.25
 """Number of headings, rad between them, and m of the offsets to try around each prediction."""
+SEARCH_SCALES = (0.25, 0.1)
+"""m, of the kernel in a search: as wide as its offsets at first, then as its errors after a few steps."""
+SEARCH_POINTS = 60
+"""Points of the first alignments from all offsets and headings, 135 of them: enough for a rough pose."""
 SEARCH_PRIOR_WEIGHT = 0.1
 """Weight of the prior while other poses are searched, relative to a match."""
+MIN_GAIN, MIN_USUAL, MIN_SHARE = 0.2, 0.6, 0.5
+"""What the inlier share of a pose that is searched must exceed: the one so far by so much, so much of the
+usual one, and half of the points; other places seldom fit so well."""
 
 
 class PosePrediction(NamedTuple):
@@ -180,12 +187,15 @@ def search(
     Its inlier share must be well above that so far and near the usual one, and its cost must not be
     higher, which demands a clearer best the better odometry is.
     """
-    coarse = Alignment(8, 0.25, 0.1, match.information, max(1, len(features) // 60), match.slack2)
-    fine = Alignment(4, 0.1, match.narrow, match.information, match.step, match.slack2)
+    wide, middle = SEARCH_SCALES
+    few = max(1, len(features) // SEARCH_POINTS)
+    coarse = Alignment(8, wide, middle, match.information, few, match.slack2)
+    fine = Alignment(4, middle, match.narrow, match.information, match.step, match.slack2)
     prior = predicted.information * SEARCH_PRIOR_WEIGHT
     old_cost = cost(submap, features, pose, predicted, match, evidence)
     best, other = pose.copy(), np.empty(3)
-    min_share = max(evidence.sums[1] / max(evidence.sums[0], 1.0) + 0.2, 0.6 * predicted.usual, 0.5)
+    share = evidence.sums[1] / max(evidence.sums[0], 1.0)
+    min_share = max(share + MIN_GAIN, MIN_USUAL * predicted.usual, MIN_SHARE)
     for start in (predicted.pose, predicted.last, predicted.extrapolated):
         for turn in range(-(SEARCH_HEADINGS // 2), SEARCH_HEADINGS // 2 + 1):
             for offset in range(5):

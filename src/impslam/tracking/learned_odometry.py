@@ -36,6 +36,17 @@ MATCH_SIGMA = (0.014, 0.004)
 """m, rad: error of two matches; only the excess is attributed to odometry."""
 MAX_BIAS = np.array([0.2, 0.2, 0.1])
 """rad/m, 1, 1: beyond, something else is wrong."""
+BIAS_PRIOR = 0.1
+"""m^2 or rad^2 of motion without bias, before the first match: a few matches determine the bias."""
+POSITION_LEVER, HEADING_LEVER = 0.3, 0.5
+"""m that a turn of a radian counts for in the noise of the position and of the heading."""
+STANDING = 0.1
+"""m that even a standing robot counts as having gone: it may have been pushed."""
+STANDING_SIGMA = (0.002, 0.0007)
+"""m, rad: standard deviations over any motion."""
+MAX_GROWTH, CLIPPED_MEAN = 4.0, 0.92
+"""Multiple of the noise up to which a segment counts, since one may be a slip; and the mean of a chi-square
+with one degree of freedom that is clipped there."""
 
 
 class LearnedOdometry(NamedTuple):
@@ -86,11 +97,11 @@ def correct(learned: LearnedOdometry, d_pose: Array) -> None:
 def variances(learned: LearnedOdometry, distance: float, turn: float) -> tuple[float, float]:
     """Return the variances of position, m^2 along each axis, and of heading, rad^2, after a motion.
 
-    A stationary robot may have been pushed: the noise of 0.1 m, and 2 mm and 0.7 mrad, are always included.
+    The noise of `STANDING` and `STANDING_SIGMA` are always included.
     """
     return (
-        learned.noise[0] * (distance + 0.3 * turn + 0.1) + 0.002**2,
-        learned.noise[1] * (distance + 0.5 * turn + 0.1) + 0.0007**2,
+        learned.noise[0] * (distance + POSITION_LEVER * turn + STANDING) + STANDING_SIGMA[0] ** 2,
+        learned.noise[1] * (distance + HEADING_LEVER * turn + STANDING) + STANDING_SIGMA[1] ** 2,
     )
 
 
@@ -125,13 +136,13 @@ def learn(
 @kernel
 def _learn_bias(learned: LearnedOdometry, motion: Array, off: Array, with_distance: bool) -> None:
     """Update the bias with a match; see `learn`."""
-    keep = math.exp(-(abs(motion[0]) + 0.3 * abs(motion[2])) / BIAS_MEMORY)
+    keep = math.exp(-(abs(motion[0]) + POSITION_LEVER * abs(motion[2])) / BIAS_MEMORY)
     for k in range(3 if with_distance else 2):
         cause, effect = (motion[2] if k == 1 else motion[0]), (off[0] if k == 2 else off[2])
         whole = effect + learned.bias[k] * cause  # without the correction
         learned.sums[k, 0] = keep * learned.sums[k, 0] + cause * whole
         learned.sums[k, 1] = keep * learned.sums[k, 1] + cause * cause
-        bias = learned.sums[k, 0] / (learned.sums[k, 1] + 0.1)
+        bias = learned.sums[k, 0] / (learned.sums[k, 1] + BIAS_PRIOR)
         learned.bias[k] = min(max(bias, -MAX_BIAS[k]), MAX_BIAS[k])
 
 
@@ -145,13 +156,13 @@ def _learn_noise(learned: LearnedOdometry, pose: Array, quality: float) -> None:
     et = wrap_in_kernel(matched[2] - learned.odometry[2])
     excess = 0.5 * (ex * ex + ey * ey) - MATCH_SIGMA[0] ** 2, et * et - MATCH_SIGMA[1] ** 2
     measured = (
-        max(excess[0], 0.0) / (distance + 0.3 * turn),
-        max(excess[1], 0.0) / (distance + 0.5 * turn),
+        max(excess[0], 0.0) / (distance + POSITION_LEVER * turn),
+        max(excess[1], 0.0) / (distance + HEADING_LEVER * turn),
     )
     learned.segments[0] += 1.0
     rate = quality * max(NOISE_RATE, 1.0 / (learned.segments[0] + 1.0))
     for k in range(2):
-        new = min(measured[k], 4.0 * learned.noise[k]) / 0.92
+        new = min(measured[k], MAX_GROWTH * learned.noise[k]) / CLIPPED_MEAN
         if learned.lengths[2 + k] > 0.0:
             new = max(new, min(learned.noise[k], UNLOCATED_NOISE[k] ** 2))
         learned.noise[k] += rate * (new - learned.noise[k])

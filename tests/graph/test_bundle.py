@@ -8,7 +8,6 @@ from impslam.geometry.angles import wrap
 from impslam.graph.bearings import ScanFeatures, sort_by_bearing
 from impslam.graph.block_system import empty_system
 from impslam.graph.bundle import (
-    Edges,
     Refinement,
     RefinementSettings,
     linearise,
@@ -17,6 +16,7 @@ from impslam.graph.bundle import (
 )
 from impslam.graph.overlaps import Nearness, overlaps
 from impslam.graph.solve import marginals
+from impslam.types import Edges
 
 PRECISE = RefinementSettings(rounds=6)
 

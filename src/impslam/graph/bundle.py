@@ -31,15 +31,6 @@ from impslam.graph.edges import linearise_edge
 from impslam.surfaces.features import check_rows
 from impslam.types import Array, Edges, Ints, Mask, check_shape
 
-__all__ = [
-    "Edges",
-    "Refinement",
-    "RefinementSettings",
-    "linearise",
-    "linearise_pair",
-    "refine",
-]
-
 
 class RefinementSettings(NamedTuple):
     """Parameters of the refinement.

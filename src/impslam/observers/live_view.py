@@ -22,8 +22,6 @@ from impslam.observers.thin_path import Points, ThinPath
 from impslam.observers.true_pose import TruthInMap
 from impslam.types import Array, Landmark, Scan, TruePose
 
-__all__ = ["GridPicture", "LiveView", "Snapshot"]
-
 LANDMARK_INTERVAL = 0.2
 """Minimum time between updates of the landmarks, s; viewers do not notice this delay."""
 MAX_READ_SHARE = 0.05

@@ -25,7 +25,8 @@ from nicegui import ui
 
 from impslam.errors import ImpError
 from impslam.geometry.se2 import compose
-from impslam.observers.live_view import GridPicture, Snapshot
+from impslam.observers.grid_picture import GridPicture
+from impslam.observers.live_view import Snapshot
 from impslam.platform.console import page
 from impslam.platform.console.model import Model
 from impslam.platform.console.session import Session

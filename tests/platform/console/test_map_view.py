@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 from playwright.sync_api import expect
 from tests.platform.console.browsing import until, visit
 
-from impslam.observers.live_view import GridPicture, Snapshot
+from impslam.observers.grid_picture import GridPicture
+from impslam.observers.live_view import Snapshot
 from impslam.platform.console import encoding
 from impslam.platform.console.encoding import (
     STEP,

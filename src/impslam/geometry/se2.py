@@ -141,6 +141,7 @@ def _matrices(P: Array, shape: tuple[int, ...]) -> Array:
 
 @kernel
 def _compose(first: Array, second: Array) -> Array:
+    """Compose rows (n, 3)."""
     out = np.empty_like(first)
     for i in range(len(first)):
         c, s = math.cos(first[i, 2]), math.sin(first[i, 2])
@@ -153,6 +154,7 @@ def _compose(first: Array, second: Array) -> Array:
 
 @kernel
 def _compose_jacobians(first: Array, second: Array) -> tuple[Array, Array]:
+    """Return the derivatives (n, 3, 3) of rows (n, 3)."""
     n = len(first)
     by_first, by_second = np.zeros((n, 3, 3)), np.zeros((n, 3, 3))
     for i in range(n):
@@ -169,6 +171,7 @@ def _compose_jacobians(first: Array, second: Array) -> tuple[Array, Array]:
 
 @kernel
 def _compose_uncertain(first: Array, P: Array, second: Array, Q: Array) -> tuple[Array, Array]:
+    """Compose rows (n, 3) with covariances (n, 3, 3)."""
     out = np.zeros((len(first), 3, 3))
     by_first, by_second = _compose_jacobians(first, second)
     for n in range(len(first)):
@@ -183,6 +186,7 @@ def _compose_uncertain(first: Array, P: Array, second: Array, Q: Array) -> tuple
 
 @kernel
 def _inverse(poses: Array) -> Array:
+    """Invert rows (n, 3)."""
     out = np.empty_like(poses)
     for i in range(len(poses)):
         x, y, theta = poses[i, 0], poses[i, 1], poses[i, 2]
@@ -193,6 +197,7 @@ def _inverse(poses: Array) -> Array:
 
 @kernel
 def _transform(poses: Array, points: Array) -> Array:
+    """Transform points (n, k, 2) by rows (n, 3)."""
     out = np.empty_like(points)
     for i in range(len(poses)):
         c, s = math.cos(poses[i, 2]), math.sin(poses[i, 2])
@@ -218,6 +223,7 @@ def sinc_cosc(theta: float) -> tuple[float, float]:
 
 @kernel
 def _exp(twists: Array) -> Array:
+    """Return the poses (n, 3) of twists (n, 3)."""
     out = np.empty_like(twists)
     for i in range(len(twists)):
         a, b = sinc_cosc(twists[i, 2])
@@ -229,6 +235,7 @@ def _exp(twists: Array) -> Array:
 
 @kernel
 def _log(poses: Array) -> Array:
+    """Return the twists (n, 3) of poses (n, 3)."""
     out = np.empty_like(poses)
     for i in range(len(poses)):
         theta = wrap_in_kernel(poses[i, 2])

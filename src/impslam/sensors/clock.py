@@ -10,6 +10,9 @@ from impslam.types import Array
 _ALPHA = 0.1  # 1: gain of the phase; averages jitter over about ten sweeps
 _BETA = _ALPHA**2 / 2.0  # 1: gain of the period; critically damped (Kalata 1984, tracking index)
 _GAP = 50  # sweeps: after a longer pause, or a step back, the filter restarts
+_PERIOD, _PHASE = range(
+    2
+)  # of the state: s between sweeps, and the smoothed stamp of the newest one
 
 
 class SweepClock:
@@ -20,7 +23,7 @@ class SweepClock:
     """
 
     def __init__(self, period: float) -> None:
-        self._state = np.array([period, np.nan])  # the period, and the newest sweep's phase
+        self._state = np.array([period, np.nan])
 
     def smooth(self, stamps: Array) -> Array:
         """Return the smoothed stamps (m,) in s of the next sweeps."""
@@ -29,17 +32,18 @@ class SweepClock:
 
 @kernel
 def _smooth(state: Array, stamps: Array) -> Array:
+    """Return smoothed stamps (m,), and update the state (2,) in place."""
     smoothed = np.empty(len(stamps))
     for k in range(len(stamps)):
-        period, phase = state[0], state[1]
+        period, phase = state[_PERIOD], state[_PHASE]
         lost = np.rint((stamps[k] - phase) / period) - 1.0
         if -2.0 < lost < _GAP:  # false for the first sweep
             predicted = phase + (1.0 + max(lost, 0.0)) * period
             error = stamps[k] - predicted
-            state[1] = predicted + _ALPHA * error
+            state[_PHASE] = predicted + _ALPHA * error
             if lost <= 0.0:
-                state[0] += _BETA * error
+                state[_PERIOD] += _BETA * error
         else:
-            state[1] = stamps[k]
-        smoothed[k] = state[1]
+            state[_PHASE] = stamps[k]
+        smoothed[k] = state[_PHASE]
     return smoothed

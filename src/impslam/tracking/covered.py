@@ -94,6 +94,7 @@ def hidden_beams(d_pose: Array, scans: Scans, cover: Cover) -> Mask:
 
 @kernel
 def _hide(d_pose: Array, beams: BeamColumns, cover: Cover, out: Mask) -> None:
+    """Fill `out` (m, n) with the beams to leave out of m scans after motions (m, 3)."""
     for k in range(len(d_pose)):
         advance_pose(cover.odometry, d_pose[k])
         far = (

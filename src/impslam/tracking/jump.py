@@ -128,6 +128,7 @@ def _find(
     past: PastScans,
     results: tuple[Array, Mask],
 ) -> None:
+    """Fill the shares (m,) and confirmations (m,) of scans; pose (3,) and time (1,) move along."""
     shares, confirmed = results
     for k in range(len(motions.d_pose)):
         advance_pose(pose, motions.d_pose[k])

@@ -31,17 +31,20 @@ class StreamState(NamedTuple):
     Attributes
     ----------
     ranges : (n,) m
-    state : (4,) m and rad by odometry since the first of equal scans; the stamp; and the share of
-        stamps that run back
+    moved : (2,) m and rad by odometry since the first of equal scans
+    stamp : (1,) s
+    disorder : (1,) share of stamps that run back
     """
 
     ranges: Array
-    state: Array
+    moved: Array
+    stamp: Array
+    disorder: Array
 
 
 def initial_stream_state(beams: int) -> StreamState:
     """Return the state before the first scan of a lidar with this number of beams."""
-    return StreamState(np.zeros(beams), np.array([0.0, 0.0, -np.inf, 0.0]))
+    return StreamState(np.zeros(beams), np.zeros(2), np.full(1, -np.inf), np.zeros(1))
 
 
 def check_stream(stamps: Array, ranges: Array, d_pose: Array, last: StreamState) -> Reasons:
@@ -55,23 +58,25 @@ def check_stream(stamps: Array, ranges: Array, d_pose: Array, last: StreamState)
     equal = (before.view(np.int64) == bits).all(axis=1)
     reasons = np.zeros(len(stamps), np.int8)
     if len(stamps):
-        _check(stamps, d_pose, equal, last.state, reasons)
+        _check(stamps, d_pose, equal, last, reasons)
         last.ranges[:] = ranges[-1]
     return reasons
 
 
 @kernel
-def _check(stamps: Array, d_pose: Array, equal: Mask, state: Array, reasons: Reasons) -> None:
+def _check(stamps: Array, d_pose: Array, equal: Mask, last: StreamState, reasons: Reasons) -> None:
+    """Fill the reasons (m,) of scans, given which of them are equal to the one before (m,)."""
+    moved, stamp, disorder = last.moved, last.stamp, last.disorder
     for k in range(len(stamps)):
-        back = 1.0 if stamps[k] < state[2] else 0.0
-        state[2] = stamps[k]
-        state[3] += MEMORY * (back - state[3])
-        if state[3] > MAX_DISORDER:
+        back = 1.0 if stamps[k] < stamp[0] else 0.0
+        stamp[0] = stamps[k]
+        disorder[0] += MEMORY * (back - disorder[0])
+        if disorder[0] > MAX_DISORDER:
             reasons[k] = DISORDERED
         if not equal[k]:
-            state[0] = state[1] = 0.0
+            moved[:] = 0.0
             continue
-        state[0] += math.hypot(d_pose[k, 0], d_pose[k, 1])
-        state[1] += abs(d_pose[k, 2])
-        if state[0] > MIN_MOTION[0] or state[1] > MIN_MOTION[1]:
+        moved[0] += math.hypot(d_pose[k, 0], d_pose[k, 1])
+        moved[1] += abs(d_pose[k, 2])
+        if moved[0] > MIN_MOTION[0] or moved[1] > MIN_MOTION[1]:
             reasons[k] = REPEATED

@@ -41,10 +41,8 @@ class MapBuilder:
 
     def __init__(self, known: Map | None = None, *, frozen: bool = False) -> None:
         self._frozen = frozen
-        self._place, self._here = (
-            np.full(3, np.nan),
-            0,
-        )  # where the robot stands, and keyframes there
+        self._place = np.full(3, np.nan)  # where the robot stands
+        self._here = 0  # keyframes there
         self._sweeps = {
             "stamps": GrowingArray(),
             "anchors": GrowingArray(dtype=np.int64),

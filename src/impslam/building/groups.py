@@ -16,9 +16,8 @@ from impslam.geometry.kernels import kernel
 from impslam.types import Array
 
 _MAX_TURN = 0.35  # rad between sightings of one line, for any covariance
-_MAX_CORNER_TURN = (
-    0.8  # rad between sightings of one corner; two sides of a thin wall differ by more
-)
+_MAX_CORNER_TURN = 0.8
+"""rad between sightings of one corner; two sides of a thin wall differ by more."""
 X, Y, _PHI, LOW, HIGH, _L00, _L01, _L11, _E0, _E1, _U0, _U1 = range(12)
 
 

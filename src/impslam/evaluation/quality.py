@@ -36,9 +36,8 @@ from impslam.types import Array, Ints, Mask
 
 MAX_ERROR = 0.6  # m: surfaces farther apart are two walls, not one doubled wall
 MATCH_DISTANCE = 0.1  # m: three sigma of a point with a noise of 1 to 3 cm
-FREE_MARGIN = (
-    0.15  # m before the end of a beam up to which space is free: MATCH_DISTANCE at 45 degrees
-)
+FREE_MARGIN = 0.15
+"""m before the end of a beam up to which space is free: MATCH_DISTANCE at 45 degrees."""
 MIN_FACING = 0.7  # cosine of 45 degrees: normals farther apart belong to two surfaces
 KEYFRAME_SPACING = 0.4  # m, or rad, between keyframes: closer ones show the same
 POINT_SPACING = 0.1  # m between points: dense beams close to a wall repeat its errors

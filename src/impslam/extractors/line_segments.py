@@ -16,9 +16,8 @@ from impslam.types import Array, Ints
 
 OUTLIER = 3.5  # standard deviations: exceeded by 1 of 2000 Gaussian residuals
 _PASS_THROUGH = 0.05  # m: a beam this far beyond a wall, plus noise, passed through an opening
-_TRIM_FROM = (
-    20  # points; from this number on, the outermost, perhaps mixed with the background, are dropped
-)
+_TRIM_FROM = 20
+"""points; from this number on, the outermost, perhaps mixed with the background, are dropped."""
 _LOOK_AHEAD = 6  # pieces to search for the continuation of a wall behind an obstacle
 _COLUMNS = 8  # columns of a fit: rho, alpha, rr, ra, aa, bias r, bias a, chi2
 

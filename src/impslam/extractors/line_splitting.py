@@ -9,9 +9,8 @@ import numpy as np
 from impslam.geometry.kernels import kernel
 from impslam.types import Array, Ints
 
-_MIN_CORNER = (
-    4.5  # standard deviations off the chord: exceeded by 1 of 500 straight segments of 300 points
-)
+_MIN_CORNER = 4.5
+"""standard deviations off the chord: exceeded by 1 of 500 straight segments of 300 points."""
 _MIN_BEND_GAIN = 25.0  # chi-square of three parameters (a second line, and its start): p = 1.5e-5
 _MIN_BEND_HEIGHT = 3.0  # in units of `flatness`: a smaller bend is the wall's own shape
 MIN_PIECE = 4  # points: two define a line, two more confirm it

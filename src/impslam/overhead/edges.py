@@ -16,9 +16,8 @@ import numpy as np
 from impslam.types import Array, Mask
 
 END_MARGIN = 0.12  # share of an edge that is left out at either end: blur of the corner
-HALF_WIDTH = (
-    0.4  # of a profile, in cells: blur of the cells within the black border must not matter
-)
+HALF_WIDTH = 0.4
+"""of a profile, in cells: blur of the cells within the black border must not matter."""
 STEP = 0.25  # px between samples of a profile
 ROUNDS = 4  # in which the window follows the edge
 MIN_CONTRAST = 20.0  # grey levels; edges of markers have more

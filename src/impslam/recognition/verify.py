@@ -23,9 +23,8 @@ from impslam.surfaces.features import Features
 from impslam.surfaces.surface_map import MIN_NORMAL_COSINE, SurfaceMap, surfel_at
 from impslam.types import Array, Ints, Mask
 
-MATCH_DISTANCE = (
-    0.15  # m to the nearest surface: three cells; poses within a submap are off by 5 cm
-)
+MATCH_DISTANCE = 0.15
+"""m to the nearest surface: three cells; poses within a submap are off by 5 cm."""
 END_MARGIN = 0.3  # m before and behind the end of a beam: neither free nor hidden
 MIN_RANGE = 0.3  # m: bearings of closer points are meaningless
 SAMPLE = 250  # points tested against free space: standard error of the share 0.03

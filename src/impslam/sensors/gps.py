@@ -69,11 +69,8 @@ class Gps(Sensor):
         row = sweeps.columns.take(slice(k, k + 1))
         position, covariance = self._positions(row)[0], row["covariance"][0, :2, :2]
         covariance = np.where(np.isfinite(covariance), covariance, 0.0)
-        R = (
-            np.diag(np.maximum(np.diag(covariance), self.sigma**2))
-            + covariance
-            - np.diag(np.diag(covariance))
-        )
+        R = covariance.copy()
+        np.fill_diagonal(R, np.maximum(np.diag(R), self.sigma**2))
         course = self._course(float(row.stamps[0]), position)
         if course is None:
             return ()

@@ -22,9 +22,8 @@ A single point counts as on such a wall if the next two beams on one side end ne
 all three points is oblique and straight. Beams beside a table leg go past it.
 """
 
-NORMAL_RADIUS = (
-    0.25  # m on either side for fitting a normal: long compared with the noise of a beam, 1 to 3 cm
-)
+NORMAL_RADIUS = 0.25
+"""m on either side for fitting a normal: long compared with the noise of a beam, 1 to 3 cm."""
 MAX_NEIGHBOURS = 8
 """Nearest neighbours used on either side. If they are on one plane, about as many up to `NORMAL_RADIUS` are
 used, too: at 1.5 m, 8 beams 0.35 deg apart cover 7 cm, and noise of 1 cm would turn the normal by 4 deg."""
@@ -38,9 +37,8 @@ normals."""
 MIN_GAP, GAP_BEAMS = 0.12, 6.0  # m, and beam spacings: neighbours farther apart are on two surfaces
 MAX_GAP = 0.8  # m: upper bound of that distance
 OBLIQUE_BEAMS = 2.0  # beam spacings between neighbours on a wall that is seen at 30 degrees
-MIN_STRAIGHT = (
-    0.9  # cosine between lines of three points on it: 26 degrees, 2 cm of noise over 5 cm
-)
+MIN_STRAIGHT = 0.9
+"""cosine between lines of three points on it: 26 degrees, 2 cm of noise over 5 cm."""
 MIN_INCIDENCE = 0.12  # cosine of incidence (83 degrees): below, the beam's width smears the range
 FLATNESS, ROUGHNESS = 0.05, 4e-4
 """Limit of the scatter across a surface: share of that along it, plus (2 cm)^2."""

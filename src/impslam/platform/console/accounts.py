@@ -24,10 +24,8 @@ from pydantic import Base64Bytes, BaseModel, ConfigDict, Field, ValidationError
 from impslam.errors import ImpError
 from impslam.platform.console.session import Right
 
-MIN_LENGTH, MAX_LENGTH = (
-    8,
-    256,
-)  # characters; NIST SP 800-63B sec. 3.1.1.2 requires at least 8 and 64
+MIN_LENGTH, MAX_LENGTH = 8, 256
+"""characters; NIST SP 800-63B sec. 3.1.1.2 requires at least 8 and 64."""
 BLOCKS, BLOCK, LANES = 2**14, 8, 1  # scrypt's N, r and p
 DIGEST_SIZE, SALT_SIZE = 32, 16  # bytes
 MAX_MEMORY = 2**28  # bytes that the cost in the file may require

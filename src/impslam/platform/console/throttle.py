@@ -18,9 +18,8 @@ from impslam.platform.console import hosts
 
 FREE_TRIES = 3  # people mistype
 MAX_WAIT = 300.0  # s, so that a person who mistyped can log in again within minutes
-RESET_TIME = (
-    900.0  # s after the last try, the count of an address starts again; longer than `MAX_WAIT`
-)
+RESET_TIME = 900.0
+"""s after the last try, the count of an address starts again; longer than `MAX_WAIT`."""
 TRIES_PER_MINUTE = 20  # in total: hashes of 0.1 s on an ARM board, so 3 % of a core
 MAX_ADDRESSES = 4096  # addresses remembered
 

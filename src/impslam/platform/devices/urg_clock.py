@@ -18,9 +18,8 @@ from impslam.platform.devices.scip import STAMP_BITS
 
 UNIT = 1e-3  # s, resolution of the sensor's clock
 LEARNING_SCANS = 20  # to measure the minimum delay: 2 s, in which 100 ppm are 0.2 ms
-TRIP_TOLERANCE = (
-    1e-3  # s by which round trips of used TM answers may exceed the shortest: a USB frame
-)
+TRIP_TOLERANCE = 1e-3
+"""s by which round trips of used TM answers may exceed the shortest: a USB frame."""
 MAX_CATCH_UP = 0.5  # s by which scans may arrive faster than they were taken, after a delay
 MAX_STALL = 10.0  # s that scans may be delayed; a tty buffers two of them, TCP some hundred
 

@@ -152,6 +152,5 @@ class Pace:
     def _jump(self, stamp: float) -> tuple[float, float]:
         """Return the jump of the stamps back and ahead, s, 0 if there is none."""
         ahead = stamp - self._stamp
-        return max(
-            -ahead, 0.0
-        ) if ahead < -MAX_SCAN_GAP else 0.0, ahead if ahead > MAX_SCAN_GAP else 0.0
+        back = -ahead if ahead < -MAX_SCAN_GAP else 0.0
+        return back, ahead if ahead > MAX_SCAN_GAP else 0.0

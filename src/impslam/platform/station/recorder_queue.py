@@ -8,9 +8,8 @@ from collections import Counter
 from impslam.platform.devices.base import Reading
 from impslam.types import Event, Image, LaserScan, Message, WheelAngles
 
-MAX_READINGS = (
-    40_000  # readings; 40 s of an autopilot's 600, a lidar and a camera, or 10 s of 4000 a second
-)
+MAX_READINGS = 40_000
+"""readings; 40 s of an autopilot's 600, a lidar and a camera, or 10 s of 4000 a second."""
 MAX_BYTES = 64 * 2**20  # 0.4 MB a second with scans and pictures: two minutes of a stalled disk
 SMALL_SIZE = 400  # bytes of memory of a reading of a few numbers
 

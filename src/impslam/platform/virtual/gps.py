@@ -15,11 +15,8 @@ from impslam.geometry.geodesy import LocalPlane
 from impslam.types import Array
 
 RATE = 1.0  # Hz
-WHITE, SHARED, CORRELATION_TIME = (
-    0.5,
-    1.5,
-    300.0,
-)  # m, m, s: per axis; together HDOP 1.0 of 2.2 m a range
+WHITE, SHARED, CORRELATION_TIME = 0.5, 1.5, 300.0
+"""m, m, s: per axis; together HDOP 1.0 of 2.2 m a range."""
 DELAY = 0.1  # s from a fix to its sentences
 ORIGIN = LocalPlane(52.0, 13.0, 40.0)  # of map; its x points east
 START_TIME = 12 * 3600.0  # s of the day

@@ -9,12 +9,10 @@ import numpy as np
 from impslam.platform.devices.autopilot_messages import ADC_STEPS
 from impslam.platform.devices.wheel_counter import wrapped_difference
 
-CUT_OFF = (
-    950.0  # Hz, of the low-pass before the converter (thesis 3.3): the drop at 5 V takes 0.2 ms
-)
-MAX_SPEED = (
-    20  # steps/ms, 1.9 m/s of a 5 in wheel, twice its top speed; more is a reading in the drop
-)
+CUT_OFF = 950.0
+"""Hz, of the low-pass before the converter (thesis 3.3): the drop at 5 V takes 0.2 ms."""
+MAX_SPEED = 20
+"""steps/ms, 1.9 m/s of a 5 in wheel, twice its top speed; more is a reading in the drop."""
 MAX_JUMPS = 3  # consecutive jumps that are ignored; then the wheel has really turned
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,6 +24,28 @@ _FADE_SIGMA = 0.1  # of the radius: beams that hit a round side beyond 64 deg ma
 COLUMNS = 12  # first, past the last, x, y, radius, covariance (3), bias (3), reduced chi2
 
 
+class ArcLimits(NamedTuple):
+    """What counts as a cylinder.
+
+    Attributes
+    ----------
+    radius : m, if it is known, else NaN
+    smallest, largest : m, limits of the radius
+    min_points : minimum number of points
+    max_chi2 : largest mean chi-square
+    max_sigma : largest standard deviation of the radius, relative to it
+    spacing : rad between beams
+    """
+
+    radius: float
+    smallest: float
+    largest: float
+    min_points: int
+    max_chi2: float
+    max_sigma: float
+    spacing: float
+
+
 @kernel
 def find_arcs(
     points: Array,
@@ -30,7 +53,7 @@ def find_arcs(
     variances: Array,
     starts: Ints,
     sides: Array,
-    limits: Array,
+    limits: ArcLimits,
     origins: Array,
 ) -> Array:
     """Return a row for each segment that is the whole visible side of a cylinder.
@@ -40,8 +63,6 @@ def find_arcs(
     points, beams, variances, starts : as in `Cloud`
     sides : (m, 2, 3) direction and range of the beams before and after each point; the range is inf
         without a return, and 0 at the end of the scan
-    limits : known radius (NaN if unknown), smallest and largest radius (m), minimum number of points,
-        largest mean chi2, largest relative sigma of the radius, beam spacing (rad)
     origins : (m, 2) m, laser as each beam was fired
     """
     out = np.empty((len(starts), COLUMNS))
@@ -49,7 +70,7 @@ def find_arcs(
     for s in range(len(starts) - 1):
         i, j = starts[s], starts[s + 1]
         origin = origins[(i + j) // 2]
-        if j - i < limits[3] or not _is_plausible(points[i:j], sides[i:j], limits, origin):
+        if j - i < limits.min_points or not _is_plausible(points[i:j], sides[i:j], limits, origin):
             continue
         p, b, v, n = points[i:j], beams[i:j], variances[i:j], sides[i:j]
         if _fit_arc(p, b, v, n, limits, origin, out[count]):
@@ -59,15 +80,17 @@ def find_arcs(
 
 
 @kernel
-def _is_plausible(points: Array, sides: Array, limits: Array, origin: Array) -> bool:
+def _is_plausible(points: Array, sides: Array, limits: ArcLimits, origin: Array) -> bool:
     """Return whether a segment is in front of its neighbours, and of a cylinder's width."""
     first = math.hypot(points[0, 0] - origin[0], points[0, 1] - origin[1])
     last = math.hypot(points[-1, 0] - origin[0], points[-1, 1] - origin[1])
     if sides[0, 0, 2] <= first or sides[-1, 1, 2] <= last:
         return False
     width = math.hypot(points[-1, 0] - points[0, 0], points[-1, 1] - points[0, 1])
-    step = limits[6] * first
-    wide: bool = 0.5 * limits[1] < width + 2.0 * step and width < 2.0 * limits[2] + 4.0 * step
+    step = limits.spacing * first
+    wide: bool = (
+        0.5 * limits.smallest < width + 2.0 * step and width < 2.0 * limits.largest + 4.0 * step
+    )
     return wide
 
 
@@ -109,11 +132,12 @@ def _axis(edges: Array, origin: Array, sigma: float) -> Array:
 
 
 @kernel
-def _start(points: Array, beams: Array, limits: Array, distance: float) -> Array:
+def _start(points: Array, beams: Array, limits: ArcLimits, distance: float) -> Array:
     """Return the start of the fit: the algebraic circle, or one as wide as the arc."""
-    start = circle_start(points, beams, limits[0])
-    if math.isnan(limits[0]) and not (start[2] > 0.5 * limits[1] and start[2] < 2.0 * limits[2]):
-        start = circle_start(points, beams, 0.5 * distance * limits[6] * len(points))
+    start = circle_start(points, beams, limits.radius)
+    is_likely = 0.5 * limits.smallest < start[2] < 2.0 * limits.largest
+    if math.isnan(limits.radius) and not is_likely:
+        start = circle_start(points, beams, 0.5 * distance * limits.spacing * len(points))
     return start
 
 
@@ -123,12 +147,12 @@ def _fit_arc(
     beams: Array,
     variances: Array,
     sides: Array,
-    limits: Array,
+    limits: ArcLimits,
     origin: Array,
     out: Array,
 ) -> bool:
     """Fit a cylinder to a segment and write its row; return whether it is one."""
-    known_radius = not math.isnan(limits[0])
+    known_radius = not math.isnan(limits.radius)
     if not known_radius and not fit_line_core(points, beams, variances, 0.0)[7] > _LINE_GAIN:
         return False
     middle = points[len(points) // 2]
@@ -138,17 +162,17 @@ def _fit_arc(
     if not (good and enough):
         return False
     dof = j - i + 1 - (2 if known_radius else 3)
-    if chi2 > limits[4] * dof:
+    if chi2 > limits.max_chi2 * dof:
         return False
     if not _is_round(points[i:j], beams[i:j], variances[i:j], circle, limits, origin):
         return False
     near = math.hypot(circle[0] - origin[0], circle[1] - origin[1]) - circle[2]
-    apparent = _between(_misses(sides[i:j]), origin, near, limits[0])
+    apparent = _between(_misses(sides[i:j]), origin, near, limits.radius)
     axis = _axis(_edges(beams[i:j], sides[i:j]), origin, _edge_sigma(limits, distance, apparent[2]))
     good, cov, bias, _ = covariance_at(
         apparent, points[i:j], beams[i:j], variances[i:j], axis, known_radius
     )
-    if not good or math.sqrt(cov[2, 2]) > limits[5] * apparent[2]:
+    if not good or math.sqrt(cov[2, 2]) > limits.max_sigma * apparent[2]:
         return False
     out[0], out[1], out[2:5] = i, j, circle
     out[5], out[6], out[7] = cov[0, 0], cov[0, 1], cov[1, 1]
@@ -163,7 +187,7 @@ def _fit_without_ends(
     beams: Array,
     variances: Array,
     sides: Array,
-    limits: Array,
+    limits: ArcLimits,
     origin: Array,
     distance: float,
 ) -> tuple[bool, tuple[bool, Array, Array, Array, float], int, int]:
@@ -171,11 +195,11 @@ def _fit_without_ends(
 
     Returns whether enough points are left, the fit of `fit_circle_core` to the points [i, j), i and j.
     """
-    known_radius, circle = not math.isnan(limits[0]), _start(points, beams, limits, distance)
+    known_radius, circle = not math.isnan(limits.radius), _start(points, beams, limits, distance)
     edge = _edge_sigma(limits, distance, circle[2])
     i, j, enough = 0, len(points), True
     for _ in range(_MAX_FITS):
-        if j - i < limits[3]:
+        if j - i < limits.min_points:
             enough = False
             break
         axis = _axis(_edges(beams[i:j], sides[i:j]), origin, edge)
@@ -207,9 +231,9 @@ def _between(misses: Array, origin: Array, near: float, known: float) -> Array:
 
 
 @kernel
-def _edge_sigma(limits: Array, distance: float, radius: float) -> float:
+def _edge_sigma(limits: ArcLimits, distance: float, radius: float) -> float:
     """Return the standard deviation of an edge across, m."""
-    return math.hypot(_EDGE_SIGMA * limits[6] * distance, _FADE_SIGMA * radius)
+    return math.hypot(_EDGE_SIGMA * limits.spacing * distance, _FADE_SIGMA * radius)
 
 
 @kernel
@@ -242,24 +266,24 @@ def _is_round(
     beams: Array,
     variances: Array,
     circle: Array,
-    limits: Array,
+    limits: ArcLimits,
     origin: Array,
 ) -> bool:
     """Return whether a fit is a cylinder: size, complete arc, better than a line or a corner."""
     radius = circle[2]
     vx, vy = circle[0] - origin[0], circle[1] - origin[1]
     distance = math.hypot(vx, vy)
-    if radius < limits[1] or radius > limits[2] or distance <= 1.05 * radius:
+    if radius < limits.smallest or radius > limits.largest or distance <= 1.05 * radius:
         return False
     half = math.asin(radius / distance)
-    slack = max(2.0 * limits[6], _MAX_UNSEEN * half)
+    slack = max(2.0 * limits.spacing, _MAX_UNSEEN * half)
     for k in (0, len(points) - 1):
         bearing = abs(vx * beams[k, 1] - vy * beams[k, 0]) / distance
         if bearing < math.sin(max(half - slack, 0.0)):
             return False
     # With a known radius, the right width is stronger evidence than the shape, which real surfaces
     # (glossy, narrower than a few beams' footprints) blur: a line may fit slightly better.
-    known_radius = not math.isnan(limits[0])
+    known_radius = not math.isnan(limits.radius)
     gain = -_LINE_GAIN if known_radius else _LINE_GAIN
     chi2 = 0.0
     for k in range(len(points)):

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import model_validator
 
 from impslam.component import parameter, register
-from impslam.extractors.arcs import find_arcs, neighbours
+from impslam.extractors.arcs import ArcLimits, find_arcs, neighbours
 from impslam.extractors.base import Extractor
 from impslam.extractors.segmentation import OBJECT_INCIDENCE, segment
 from impslam.surfaces.features import beam_spacing
@@ -74,14 +74,13 @@ class Circle(Extractor):
         found = [_cylinder(row, cloud.index[int(row[0]) : int(row[1])], scan) for row in arcs]
         return sorted(found, key=lambda o: int(o.beams[0]))
 
-    def _limits(self, spacing: float) -> Array:
+    def _limits(self, spacing: float) -> ArcLimits:
         low, high = self.radius_min, self.radius_max
         if self.radius is not None:
             low, high = 0.99 * self.radius, 1.01 * self.radius
         known = math.nan if self.radius is None else self.radius
-        return np.array(
-            [known, low, high, self.min_points, self.max_chi2, self.max_radius_sigma, spacing]
-        )
+        sigma = self.max_radius_sigma
+        return ArcLimits(known, low, high, self.min_points, self.max_chi2, sigma, spacing)
 
 
 def _cylinder(row: Array, beams: np.ndarray, scan: Scan) -> Observation:

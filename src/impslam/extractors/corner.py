@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 
@@ -58,8 +58,8 @@ class Corner(StraightPieces):
         del rng
         segments, good = self._pieces(scan)
         P = covariances(segments, 0.0, self.flatness)
-        spacing = beam_spacing(scan.angles)
-        limits = math.sin(self.min_angle), self.reach, self.max_sigma, spacing, scan.bias
+        spacing, sine = beam_spacing(scan.angles), math.sin(self.min_angle)
+        limits = _Limits(sine, self.reach, self.max_sigma, spacing, scan.bias)
         rows = _find(segments, good, P, scan.sigmas, scan.laser, limits)
         return [_corner(row, segments) for row in rows]
 
@@ -73,9 +73,23 @@ def _corner(row: Array, segments: Segments) -> Observation:
     return Observation("corner", row[2:4].copy(), R, beams, None, shape, shared=row[7:9].copy())
 
 
-_Limits: TypeAlias = tuple[float, float, float, float, float]
-"""Smallest sine between the sides, largest distance of their ends from the corner (m), largest sigma of the
-corner (m), angle between beams (rad), standard deviation of the error common to all ranges (m)."""
+class _Limits(NamedTuple):
+    """What counts as a corner.
+
+    Attributes
+    ----------
+    min_sine : smallest sine between the sides
+    reach : m, largest distance of their ends from the corner
+    max_sigma : m, largest standard deviation of the corner
+    spacing : rad between beams
+    bias : m, standard deviation of the error common to all ranges
+    """
+
+    min_sine: float
+    reach: float
+    max_sigma: float
+    spacing: float
+    bias: float
 
 
 @kernel
@@ -89,7 +103,7 @@ def _find(
     out, count, lines = np.empty((len(good), _COLUMNS)), 0, segments.lines
     for k in range(len(good)):
         a, b = good[k], good[(k + 1) % len(good)]
-        if abs(math.sin(lines[b, 1] - lines[a, 1])) < limits[0]:
+        if abs(math.sin(lines[b, 1] - lines[a, 1])) < limits.min_sine:
             continue
         row = out[count]
         row[0], row[1] = a, b
@@ -105,8 +119,8 @@ def _find(
             and _meets(row[2:4], segments.end_points[b, 0], (c2, s2), laser, noise, limits)
         ):
             continue
-        _add_covariance(row, lines, P, (c1, s1, c2, s2), limits[4])
-        if eigenvalues(row[4], row[5], row[6])[1] > limits[2] ** 2:
+        _add_covariance(row, lines, P, (c1, s1, c2, s2), limits.bias)
+        if eigenvalues(row[4], row[5], row[6])[1] > limits.max_sigma**2:
             continue
         _add_shape(row, segments.end_points[a, 0], segments.end_points[b, 1], laser)
         count += 1
@@ -126,9 +140,9 @@ def _meets(
     dx, dy = end[0] - laser[0], end[1] - laser[1]
     distance = max(math.hypot(dx, dy), 1e-9)
     cosine = abs(dx * normal[0] + dy * normal[1]) / distance
-    step = 2.0 * distance * limits[3] / max(cosine, 0.1)
+    step = 2.0 * distance * limits.spacing / max(cosine, 0.1)
     gap = math.hypot(end[0] - point[0], end[1] - point[1])
-    return bool(gap <= limits[1] + step + noise)
+    return bool(gap <= limits.reach + step + noise)
 
 
 @kernel

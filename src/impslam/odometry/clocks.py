@@ -58,18 +58,32 @@ BY_STAMP, CLOCK_SET, WITH_ODOMETRY, BY_ORDER = range(4)
 by order, because of its own stamp."""
 _LATE = 4  # by order, because it is the first row of its stream, and from before the log
 
-# Columns of a stream's newest row: its shift; its stamp, time, lag behind the newest time of all streams,
-# period, and how far other streams have jumped ahead since, all in s and of rows used by stamp.
-_SHIFT, _STAMP, _TIME, _LAG, _PERIOD, _JUMPED = range(6)
-# The newest row's stamp, however used; how often the stamp above was repeated, and the newest time of all
-# streams when it was new; number of rows judged, and number and mean share of those that contradict the
-# order; how the newest row is used, and whether all rows are used by order.
-_NEWEST, _REPEATS, _SINCE, _ROWS, _BAD, _SHARE, _HOW, _DISTRUSTED = range(6, 14)
-# Shared by all streams: the first and the newest time; the stream of the newest jump ahead (a pause or a
-# step), its stamp, the time before it, and its size until it turns out to be a step; the sum of such
-# steps; the number of rows, and of those without any usable clock; stamp and time of the row before.
-_FIRST, _NOW, _JUMP_STREAM, _JUMP_STAMP, _JUMP_BEFORE, _JUMP, _EXCESS, _COUNT, _UNTIMED = range(9)
-_STAMP_BEFORE, _TIME_BEFORE = 9, 10
+# Columns of a stream; the first six, in s, are of its newest row that is used by stamp.
+_SHIFT = 0  # of its clock
+_STAMP, _TIME = 1, 2  # as received, and on the common time line
+_LAG = 3  # behind the newest time of all streams
+_PERIOD = 4
+_JUMPED = 5  # how far other streams have jumped ahead since
+_NEWEST = 6  # stamp of the newest row, s, however used
+_REPEATS, _SINCE = (
+    7,
+    8,
+)  # how often `_STAMP` was repeated; newest time of all streams when it was new, s
+_ROWS, _BAD, _SHARE = (
+    9,
+    10,
+    11,
+)  # rows judged; number and mean share of those that contradict the order
+_HOW = 12  # how the newest row is used
+_DISTRUSTED = 13  # whether all rows are used by order
+
+# What all streams share; times in s.
+_FIRST, _NOW = 0, 1  # the first and the newest time
+_JUMP_STREAM, _JUMP_STAMP = 2, 3  # stream and stamp of the newest jump ahead, a pause or a step
+_JUMP_BEFORE, _JUMP = 4, 5  # the time before it, and its size until it turns out to be a step
+_EXCESS = 6  # the sum of such steps
+_COUNT, _UNTIMED = 7, 8  # rows, and those without any usable clock
+_STAMP_BEFORE, _TIME_BEFORE = 9, 10  # of the row before
 
 
 class Step(NamedTuple):
@@ -159,7 +173,11 @@ def _place(
     placed: PlacedRows,
     steps: Array,
 ) -> int:
-    """Write the place of each row, and the steps; return the number of steps."""
+    """Write the place of each row, and the steps; return the number of steps.
+
+    `state` is the table (known or more, 14) of the streams, and what they share (11,); a row k of m is of
+    stream `streams[k]` at `stamps[k]`. Rows of `steps` (m, 4) are those of `Step`.
+    """
     table, shared = state
     count = 0
     for k in range(len(stamps)):

@@ -48,17 +48,24 @@ CORRECTION_TIME = 0.5
 """s; the time for which the error of the bias counts in the gain if the filter estimates it: landmarks
 correct the heading, and with it the bias, at the next keyframe."""
 
-# State: heading (rad), stamp and rate of the newest reading, bias, its variance, heading at the end of the
-# last motion; sums over the window: duration, turns of wheels and gyro, variance; chi-squares of the three
-# relations; time for which the wheels have been stationary (s), heading at its start; variance per second
-# of the wheels' turns; turn and duration of the interval at rest before that, 0 if there is none;
-# covariance of the wheels' paths and turns per second.
-HEADING, STAMP, RATE, BIAS, BIAS_VARIANCE, LAST_HEADING = range(6)
-DURATION, WHEELS, GYRO, WINDOW_VARIANCE = range(6, 10)
-CHI2_UNRELATED, CHI2_SAME, CHI2_OPPOSITE, STATIONARY_TIME, STATIONARY_HEADING, WHEEL_VARIANCE = (
-    range(10, 16)
-)
-PENDING_TURN, PENDING_TIME, PATH_COVARIANCE = range(16, 19)
+# Columns of the state, in s and rad.
+HEADING, STAMP, RATE = 0, 1, 2  # of the newest reading
+BIAS, BIAS_VARIANCE = 3, 4
+LAST_HEADING = 5  # at the end of the last motion
+DURATION, WHEELS, GYRO, WINDOW_VARIANCE = (
+    6,
+    7,
+    8,
+    9,
+)  # sums over the window: s, turns of both, variance
+CHI2_UNRELATED, CHI2_SAME, CHI2_OPPOSITE = 10, 11, 12  # of the three relations of wheels and gyro
+STATIONARY_TIME, STATIONARY_HEADING = (
+    13,
+    14,
+)  # s that the wheels have stood still; heading before
+WHEEL_VARIANCE = 15  # of the wheels' turns, per second
+PENDING_TURN, PENDING_TIME = 16, 17  # of the interval at rest before that; 0 if there is none
+PATH_COVARIANCE = 18  # of the wheels' paths and turns, per second
 STATE_SIZE = 19
 
 

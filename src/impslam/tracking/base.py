@@ -227,10 +227,7 @@ class Tracker(Component):
         steps.reasons[_contradicted(steps.reasons) & unknown(motions.covariance)] = JUMPED
         worse = wrong > steps.reasons
         steps.reasons[worse], steps.amounts[worse] = wrong[worse], amounts[worse]
-        self._note("turns against scans", _OPPOSED, sweeps, steps.reasons == OPPOSED)
-        self._note("odometry against scans", _CONTRADICTED, sweeps, _contradicted(steps.reasons))
-        self._note("motion jumps", _JUMPED, sweeps, steps.reasons == JUMPED)
-        self._note("robot carried", _CARRIED, sweeps, steps.reasons == CARRIED)
+        self._note_reasons(sweeps, steps.reasons)
         none_due = np.zeros(len(sweeps), np.bool_)
         for name, others in self._travelled.items():  # sensors see different things
             if name != sweeps.sensor:
@@ -247,10 +244,16 @@ class Tracker(Component):
         if begin < len(sweeps):
             yield self._track(tracked, slice(begin, len(sweeps)), has_keyframe=False)
 
-    def _note(self, kind: str, message: str, sweeps: Sweeps, which: Mask) -> None:
-        """Add the marked sweeps (m,) to the problems."""
-        for stamp in sweeps.columns.stamps[which].tolist():
-            self._problems.add(kind, message.format(stamp))
+    def _note_reasons(self, sweeps: Sweeps, reasons: Reasons) -> None:
+        """Add to the problems the sweeps with some of these reasons (m,)."""
+        for kind, message, which in (
+            ("turns against scans", _OPPOSED, reasons == OPPOSED),
+            ("odometry against scans", _CONTRADICTED, _contradicted(reasons)),
+            ("motion jumps", _JUMPED, reasons == JUMPED),
+            ("robot carried", _CARRIED, reasons == CARRIED),
+        ):
+            for stamp in sweeps.columns.stamps[which].tolist():
+                self._problems.add(kind, message.format(stamp))
 
     def _track(self, tracked: _Tracked, rows: slice, *, has_keyframe: bool) -> Track:
         """Return the track of some rows.

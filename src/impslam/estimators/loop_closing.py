@@ -53,10 +53,10 @@ three recorded buildings it is at most 0.02, in simulations of an office with 50
 20 people at most 0.05, and 0.11 to 0.5 for carried robots."""
 MIN_CONTRADICTIONS = 3  # nodes in a row: 7 m of driving
 CLOSE_BY = 2.0
-"""m outside of its window within which a candidate is tried: others of its submap may be inside."""
+"""m beyond its window up to which a candidate is tried: other scans of its submap may be inside."""
 DRIFT, MIN_DRIFT = (0.01, 0.002), (0.05, 0.01)
-"""m and rad per m driven, and m and rad: standard deviations of the drift between two closures that have to
-agree, the second ones over any distance. A quarter of the margins in `LoopSearch`."""
+"""Standard deviations of the drift between two closures that have to agree: m and rad per m driven, and m
+and rad over any distance. They are a quarter of the margins in `LoopSearch`."""
 
 
 class LoopSearch(Parameters):

@@ -65,15 +65,10 @@ _LAG = 3  # behind the newest time of all streams
 _PERIOD = 4
 _JUMPED = 5  # how far other streams have jumped ahead since
 _NEWEST = 6  # stamp of the newest row, s, however used
-_REPEATS, _SINCE = (
-    7,
-    8,
-)  # how often `_STAMP` was repeated; newest time of all streams when it was new, s
-_ROWS, _BAD, _SHARE = (
-    9,
-    10,
-    11,
-)  # rows judged; number and mean share of those that contradict the order
+_REPEATS = 7  # how often `_STAMP` was repeated
+_SINCE = 8  # newest time of all streams when `_STAMP` was new, s
+_ROWS = 9  # that were judged
+_BAD, _SHARE = 10, 11  # number and mean share of the rows that contradict the order
 _HOW = 12  # how the newest row is used
 _DISTRUSTED = 13  # whether all rows are used by order
 

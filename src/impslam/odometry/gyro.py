@@ -52,17 +52,11 @@ correct the heading, and with it the bias, at the next keyframe."""
 HEADING, STAMP, RATE = 0, 1, 2  # of the newest reading
 BIAS, BIAS_VARIANCE = 3, 4
 LAST_HEADING = 5  # at the end of the last motion
-DURATION, WHEELS, GYRO, WINDOW_VARIANCE = (
-    6,
-    7,
-    8,
-    9,
-)  # sums over the window: s, turns of both, variance
+DURATION = 6  # of the window
+WHEELS, GYRO, WINDOW_VARIANCE = 7, 8, 9  # sums over the window: turns of both, and variance
 CHI2_UNRELATED, CHI2_SAME, CHI2_OPPOSITE = 10, 11, 12  # of the three relations of wheels and gyro
-STATIONARY_TIME, STATIONARY_HEADING = (
-    13,
-    14,
-)  # s that the wheels have stood still; heading before
+STATIONARY_TIME = 13  # for which the wheels have been stationary
+STATIONARY_HEADING = 14  # at the start of that time
 WHEEL_VARIANCE = 15  # of the wheels' turns, per second
 PENDING_TURN, PENDING_TIME = 16, 17  # of the interval at rest before that; 0 if there is none
 PATH_COVARIANCE = 18  # of the wheels' paths and turns, per second

@@ -10,9 +10,8 @@ from impslam.types import Array
 _ALPHA = 0.1  # 1: gain of the phase; averages jitter over about ten sweeps
 _BETA = _ALPHA**2 / 2.0  # 1: gain of the period; critically damped (Kalata 1984, tracking index)
 _GAP = 50  # sweeps: after a longer pause, or a step back, the filter restarts
-_PERIOD, _PHASE = range(
-    2
-)  # of the state: s between sweeps, and the smoothed stamp of the newest one
+_PERIOD, _PHASE = 0, 1
+"""Columns of the state: s between sweeps, and the smoothed stamp of the newest one, s."""
 
 
 class SweepClock:

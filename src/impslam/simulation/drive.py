@@ -107,9 +107,8 @@ def advance(pose: Array, twist: tuple[float, float], duration: float) -> Array:
 class _Follower:
     """Pure pursuit (Coulter 1992) with limits on speed, turn rate and their changes."""
 
-    _MAX_BEARING = (
-        1.0  # rad; with a larger bearing of the target, the robot first turns on the spot
-    )
+    _MAX_BEARING = 1.0
+    """rad; with a larger bearing of the target, the robot first turns on the spot."""
     _MIN_DISTANCE = 0.01  # m; below it, the target does not determine the steering
     _ARRIVAL_DISTANCE = 1e-4  # m; within it, the end counts as reached
 

@@ -24,7 +24,7 @@ from impslam.types import Array, Ints
 CELL = 0.05  # m: surfels of one wall are in neighbouring cells
 RADIUS = 8  # cells: a point finds a surfel up to 0.4 m away
 MIN_NORMAL_COSINE = 0.6  # 53 degrees: normals farther apart belong to two surfaces
-MIN_AVERAGE_COSINE = 0.3  # 73 degrees: so much may the normals of a rough surface differ in a cell
+MIN_AVERAGE_COSINE = 0.3  # 73 degrees: normals of one cell farther apart are of two surfaces
 MAX_POINTS = 20.0  # over which a surfel averages
 MAX_BEYOND_END = 0.05
 """m along a surface from a surfel at its end, beyond which points say nothing about the pose: the error of

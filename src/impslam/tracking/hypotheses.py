@@ -46,12 +46,12 @@ SEARCH_HEADINGS, SEARCH_TURN, SEARCH_OFFSET = 9, 0.06, 0.25
 SEARCH_SCALES = (0.25, 0.1)
 """m, of the kernel in a search: as wide as its offsets at first, then as its errors after a few steps."""
 SEARCH_POINTS = 60
-"""Points of the first alignments from all offsets and headings, 135 of them: enough for a rough pose."""
+"""Points of a scan for the first alignments, of which there are 135: enough for a rough pose."""
 SEARCH_PRIOR_WEIGHT = 0.1
 """Weight of the prior while other poses are searched, relative to a match."""
 MIN_GAIN, MIN_USUAL, MIN_SHARE = 0.2, 0.6, 0.5
-"""What the inlier share of a pose that is searched must exceed: the one so far by so much, so much of the
-usual one, and half of the points; other places seldom fit so well."""
+"""What the inlier share of a new pose must exceed: that so far plus the first, the second times the usual
+share, and the third; wrong poses seldom fit so well."""
 
 
 class PosePrediction(NamedTuple):

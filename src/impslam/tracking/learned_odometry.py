@@ -37,16 +37,16 @@ MATCH_SIGMA = (0.014, 0.004)
 MAX_BIAS = np.array([0.2, 0.2, 0.1])
 """rad/m, 1, 1: beyond, something else is wrong."""
 BIAS_PRIOR = 0.1
-"""m^2 or rad^2 of motion without bias, before the first match: a few matches determine the bias."""
+"""m^2 or rad^2: sum of squared motions that the prior, no bias, counts for. A few matches outweigh it."""
 POSITION_LEVER, HEADING_LEVER = 0.3, 0.5
-"""m that a turn of a radian counts for in the noise of the position and of the heading."""
-STANDING = 0.1
-"""m that even a standing robot counts as having gone: it may have been pushed."""
-STANDING_SIGMA = (0.002, 0.0007)
-"""m, rad: standard deviations over any motion."""
+"""m/rad: a turn adds as much noise to the position and to the heading as this distance."""
+STATIONARY_DISTANCE = 0.1
+"""m added to every distance, since a stationary robot may have been pushed."""
+MIN_SIGMA = (0.002, 0.0007)
+"""m, rad: standard deviations added to those of every motion."""
 MAX_GROWTH, CLIPPED_MEAN = 4.0, 0.92
-"""Multiple of the noise up to which a segment counts, since one may be a slip; and the mean of a chi-square
-with one degree of freedom that is clipped there."""
+"""Multiple of the noise at which that of a segment is clipped, since it may be a slip; and the mean of a
+chi-square with one degree of freedom that is clipped there."""
 
 
 class LearnedOdometry(NamedTuple):
@@ -97,11 +97,13 @@ def correct(learned: LearnedOdometry, d_pose: Array) -> None:
 def variances(learned: LearnedOdometry, distance: float, turn: float) -> tuple[float, float]:
     """Return the variances of position, m^2 along each axis, and of heading, rad^2, after a motion.
 
-    The noise of `STANDING` and `STANDING_SIGMA` are always included.
+    The noise of `STATIONARY_DISTANCE` and `MIN_SIGMA` is always included.
     """
     return (
-        learned.noise[0] * (distance + POSITION_LEVER * turn + STANDING) + STANDING_SIGMA[0] ** 2,
-        learned.noise[1] * (distance + HEADING_LEVER * turn + STANDING) + STANDING_SIGMA[1] ** 2,
+        learned.noise[0] * (distance + POSITION_LEVER * turn + STATIONARY_DISTANCE)
+        + MIN_SIGMA[0] ** 2,
+        learned.noise[1] * (distance + HEADING_LEVER * turn + STATIONARY_DISTANCE)
+        + MIN_SIGMA[1] ** 2,
     )
 
 

@@ -50,7 +50,7 @@ MIN_NOISE_COSINE = 0.3  # of their incidence: at more than 73 degrees, curvature
 
 
 def features(scan: Scan, thin: float) -> Features:
-    """Return the features of a scan, each at least `thin` m from the last one kept, in base_link."""
+    """Return the features of a scan, about `thin` m apart, in base_link."""
     out = np.empty((len(scan.ranges), 5), np.float32)
     spacing = beam_spacing(scan.angles)
     count = find_features(scan.points, scan.valid, scan.ranges, scan.origins, spacing, thin, out)
@@ -87,7 +87,8 @@ def find_features(
     points, origins (n, 2) are each beam's end and start, in one frame; `spacing` is the angle between
     neighbouring beams.
     """
-    count, last, noise = 0, -1, _noise(points, valid, ranges, origins, spacing)
+    count, last, due, near = 0, -1, 0, 0.0
+    noise = _noise(points, valid, ranges, origins, spacing)
     limits = (
         spacing,
         max(MIN_GAP, NOISE_GAP * noise),
@@ -99,14 +100,32 @@ def find_features(
         if not valid[i]:
             continue
         x, y = points[i, 0], points[i, 1]
-        if last >= 0 and (points[last, 0] - x) ** 2 + (points[last, 1] - y) ** 2 < thin * thin:
+        if i < due and math.hypot(points[last, 0] - x, points[last, 1] - y) < near:
             continue
-        last = i
-        out[count, 0], out[count, 1] = x, y
         nx, ny, weight = _normal(points, valid, connected, ranges, origins, limits, i)
+        dx, dy = origins[i, 0] - x, origins[i, 1] - y
+        skipped = _skipped_beams(math.hypot(dx, dy), nx * dx + ny * dy, spacing, thin)
+        last, due, near = i, i + skipped, thin + limits[1]
+        if skipped == 0:
+            due, near = len(points), thin
+        out[count, 0], out[count, 1] = x, y
         out[count, 2], out[count, 3], out[count, 4] = nx, ny, weight
         count += 1
     return count
+
+
+@kernel
+def _skipped_beams(distance: float, across: float, spacing: float, thin: float) -> int:
+    """Return after how many beams a surface is hit `thin` m further along; 0 if unknown.
+
+    `distance` is that of the last point kept, and `across` its part along the normal there, m. Whether a
+    point is kept must not depend on its own noise: of many beams on a wall, the first that was measured far
+    enough from the last point has noise away from it, which is a longer range to the left of the lidar's
+    foot on the wall, and a shorter one to the right. With 1 cm of noise, that turned walls by 0.4 deg.
+    """
+    if not (spacing > 0.0 and across > MIN_INCIDENCE * distance):
+        return 0
+    return max(math.ceil(thin * across / (distance * distance * spacing)), 1)
 
 
 @kernel

@@ -222,17 +222,27 @@ def test_normals_of_a_near_wall_do_not_depend_on_the_spacing_of_the_beams(rng):
 
 @pytest.mark.parametrize(("beams", "known"), [(6, False), (60, True)])
 def test_a_piece_of_a_wall_that_is_short_for_the_noise_has_no_weight(rng, beams, known):
-    """Beams of 0.35 deg between two that are lost, 1.6 m away: 5 cm of a wall, or 60 cm."""
+    """Beams of 0.35 deg between others that are lost, 1.6 m away: 5 cm of a wall, or 60 cm."""
     angles = np.radians(0.352 * np.arange(-200, 201))
     scan = cast(np.array([[[1.6, -9.0], [1.6, 9.0]]]), angles=angles, noise=0.015, rng=rng).scan
     piece = slice(200, 200 + beams)
     valid = scan.valid.copy()
-    valid[[piece.start - 1, piece.stop]] = False
+    valid[piece.start - 15 : piece.start] = valid[piece.stop : piece.stop + 15] = False
     rows = features(with_ranges(scan, scan.ranges, valid), 0.0)
     y = 1.6 * np.tan(angles[piece])
     rows = rows[(rows[:, 1] > y[0] - 0.01) & (rows[:, 1] < y[-1] + 0.01)]
     assert len(rows) >= beams - 2
     assert (rows[1:-1, 4] > 0.0).all() == known
+
+
+def test_lost_beams_do_not_divide_a_wall(rng):
+    scan = cast(ROOM, noise=0.01, rng=rng).scan
+    valid = scan.valid & (rng.random(len(scan.ranges)) > 0.3)
+    rows = features(with_ranges(scan, scan.ranges, valid), 0.04)
+    assert np.mean(rows[:, 4] == 1.0) > 0.9
+    normals, off = nearest_wall(rows[rows[:, 4] == 1.0], ROOM)
+    agree = np.einsum("nk,nk->n", rows[rows[:, 4] == 1.0, 2:4], normals)
+    assert np.quantile(agree[off < 0.05], 0.05) > 0.99
 
 
 def test_the_noise_of_one_object_is_that_object():

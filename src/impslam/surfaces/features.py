@@ -36,6 +36,9 @@ NORMAL_NOISE = 0.005, 0.03
 normals."""
 MIN_GAP, GAP_BEAMS = 0.12, 6.0  # m, and beam spacings: neighbours farther apart are on two surfaces
 MAX_GAP = 0.8  # m: upper bound of that distance
+MAX_LOST = 2
+"""Lost beams between neighbours that may be farther apart than `MIN_GAP`: if 30 % are lost at random, 3 in
+a row are lost at 3 % of the points; through an open door, many are."""
 OBLIQUE_BEAMS = 2.0  # beam spacings between neighbours on a wall that is seen at 30 degrees
 MIN_STRAIGHT = 0.9
 """cosine between lines of three points on it: 26 degrees, 2 cm of noise over 5 cm."""
@@ -87,27 +90,27 @@ def find_features(
     points, origins (n, 2) are each beam's end and start, in one frame; `spacing` is the angle between
     neighbouring beams.
     """
-    count, last, due, near = 0, -1, 0, 0.0
-    noise = _noise(points, valid, ranges, origins, spacing)
+    beams = np.flatnonzero(valid)
+    points, ranges, origins = points[beams], ranges[beams], origins[beams]
+    noise = _noise(points, ranges, origins, spacing)
     limits = (
         spacing,
         max(MIN_GAP, NOISE_GAP * noise),
         max(ROUGHNESS, NOISE_ROUGHNESS * noise * noise),
         min(max(noise, NORMAL_NOISE[0]), NORMAL_NOISE[1]) ** 2,
     )
-    connected = _connected(points, valid, ranges, limits)
+    connected = _connected(points, beams, ranges, limits)
+    count, last, due, near = 0, -1, 0, 0.0
     for i in range(len(points)):
-        if not valid[i]:
-            continue
         x, y = points[i, 0], points[i, 1]
-        if i < due and math.hypot(points[last, 0] - x, points[last, 1] - y) < near:
+        if beams[i] < due and math.hypot(points[last, 0] - x, points[last, 1] - y) < near:
             continue
-        nx, ny, weight = _normal(points, valid, connected, ranges, origins, limits, i)
+        nx, ny, weight = _normal(points, connected, ranges, origins, limits, i)
         dx, dy = origins[i, 0] - x, origins[i, 1] - y
         skipped = _skipped_beams(math.hypot(dx, dy), nx * dx + ny * dy, spacing, thin)
-        last, due, near = i, i + skipped, thin + limits[1]
+        last, due, near = i, beams[i] + skipped, thin + limits[1]
         if skipped == 0:
-            due, near = len(points), thin
+            due, near = len(valid), thin
         out[count, 0], out[count, 1] = x, y
         out[count, 2], out[count, 3], out[count, 4] = nx, ny, weight
         count += 1
@@ -130,14 +133,14 @@ def _skipped_beams(distance: float, across: float, spacing: float, thin: float) 
 
 @kernel
 def _single(
-    points: Array, valid: Mask, ranges: Array, origins: Array, spacing: float, i: int
+    points: Array, ranges: Array, origins: Array, spacing: float, i: int
 ) -> tuple[float, float, float]:
     """Return the normal and weight of a point without neighbours; see `Features`."""
     x, y = points[i, 0], points[i, 1]
     nx = ny = nearest = 0.0
     for step in (-1, 1):
         j, k = i + step, i + 2 * step
-        if min(j, k) < 0 or max(j, k) >= len(ranges) or not (valid[j] and valid[k]):
+        if min(j, k) < 0 or max(j, k) >= len(ranges):
             continue
         dx, dy = points[j, 0] - x, points[j, 1] - y
         distance = math.hypot(dx, dy)
@@ -153,7 +156,7 @@ def _single(
 
 
 @kernel
-def _noise(points: Array, valid: Mask, ranges: Array, origins: Array, spacing: float) -> float:
+def _noise(points: Array, ranges: Array, origins: Array, spacing: float) -> float:
     """Return the standard deviation of the ranges of a scan, m; 0 of too few surfaces.
 
     It is the median distance, along the beam, of a point from the line through its two neighbours. Two
@@ -162,8 +165,6 @@ def _noise(points: Array, valid: Mask, ranges: Array, origins: Array, spacing: f
     step = max(1, len(points) // NOISE_SAMPLES)
     off, count = np.empty(len(points) // step + 1), 0
     for i in range(1, len(points) - 1, step):
-        if not (valid[i - 1] and valid[i] and valid[i + 1]):
-            continue
         ux, uy = points[i + 1, 0] - points[i - 1, 0], points[i + 1, 1] - points[i - 1, 1]
         dx, dy = points[i, 0] - origins[i, 0], points[i, 1] - origins[i, 1]
         chord = math.sqrt(ux * ux + uy * uy)
@@ -181,7 +182,6 @@ def _noise(points: Array, valid: Mask, ranges: Array, origins: Array, spacing: f
 @kernel
 def _normal(
     points: Array,
-    valid: Mask,
     connected: Mask,
     ranges: Array,
     origins: Array,
@@ -198,7 +198,7 @@ def _normal(
     for reach in (stride, 1):
         n, at_end, xx, xy, yy = _scatter(points, connected, reach, i)
         if n < 3.0:
-            return _single(points, valid, ranges, origins, spacing, i)
+            return _single(points, ranges, origins, spacing, i)
         mean, difference = 0.5 * (xx + yy), 0.5 * (xx - yy)
         half = math.sqrt(difference * difference + xy * xy)
         flat = mean - half < FLATNESS * (mean + half) + roughness
@@ -223,16 +223,21 @@ def _normal(
 
 @kernel
 def _connected(
-    points: Array, valid: Mask, ranges: Array, limits: tuple[float, float, float, float]
+    points: Array, beams: Ints, ranges: Array, limits: tuple[float, float, float, float]
 ) -> Mask:
-    """Return (n,) whether each point and that of the next beam are on one surface; see `_normal`."""
+    """Return (n,) whether each point and the next one are on one surface; see `_normal`.
+
+    `beams` (n,) are the numbers of their beams: some in between may be lost.
+    """
     spacing, min_gap, _, _ = limits
     out = np.zeros(len(points), np.bool_)
     for i in range(len(points) - 1):
         j = i + 1
-        gap = min(max(min_gap, GAP_BEAMS * min(ranges[i], ranges[j]) * spacing), MAX_GAP)
+        gap = min_gap
+        if beams[j] - beams[i] <= MAX_LOST + 1:
+            gap = max(gap, min(GAP_BEAMS * min(ranges[i], ranges[j]) * spacing, MAX_GAP))
         dx, dy = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1]
-        out[i] = valid[i] and valid[j] and dx * dx + dy * dy <= gap * gap
+        out[i] = dx * dx + dy * dy <= gap * gap
     return out
 
 

@@ -14,9 +14,9 @@ from impslam.types import Array, Ints, Mask, Scan, check_shape
 Features: TypeAlias = np.ndarray[Any, np.dtype[np.float32]]
 """(n, 5) x, y in m; the unit normal on the lidar's side; and the weight of that normal.
 
-The weight is 1 on a surface, 0.5 at its end, with neighbours on one side only, and 0 without a surface: the
-normal is then 0, that of a wall that is seen obliquely, or that of a piece too short to determine it. Rows
-are in beam order.
+The weight is 1 on a surface, 0.5 at its end, where no other feature of it follows, and 0 without a surface:
+the normal is then 0, that of a wall that is seen obliquely, or that of a piece too short to determine it.
+Rows are in beam order.
 
 A single point counts as on such a wall if the next two beams on one side end nearer, and the line through
 all three points is oblique and straight. Beams beside a table leg go past it.
@@ -98,6 +98,7 @@ def find_features(
         max(MIN_GAP, NOISE_GAP * noise),
         max(ROUGHNESS, NOISE_ROUGHNESS * noise * noise),
         min(max(noise, NORMAL_NOISE[0]), NORMAL_NOISE[1]) ** 2,
+        thin,
     )
     connected = _connected(points, beams, ranges, limits)
     count, last, due, near = 0, -1, 0, 0.0
@@ -185,18 +186,18 @@ def _normal(
     connected: Mask,
     ranges: Array,
     origins: Array,
-    limits: tuple[float, float, float, float],
+    limits: tuple[float, float, float, float, float],
     i: int,
 ) -> tuple[float, float, float]:
     """Return the normal at point i and its weight: the minor axis of its neighbours' scatter.
 
-    `limits` are the angle between beams, the minimum gap between surfaces in m, the roughness in m^2, and
-    the variance of the ranges in m^2.
+    `limits` are the angle between beams, the minimum gap between surfaces in m, the roughness in m^2, the
+    variance of the ranges in m^2, and the distance between features in m.
     """
-    spacing, _, roughness, noise2 = limits
+    spacing, _, roughness, noise2, thin = limits
     stride = max(1, int(NORMAL_RADIUS / (MAX_NEIGHBOURS * max(ranges[i] * spacing, 1e-3))))
     for reach in (stride, 1):
-        n, at_end, xx, xy, yy = _scatter(points, connected, reach, i)
+        n, at_end, xx, xy, yy = _scatter(points, connected, reach, thin, i)
         if n < 3.0:
             return _single(points, ranges, origins, spacing, i)
         mean, difference = 0.5 * (xx + yy), 0.5 * (xx - yy)
@@ -223,13 +224,13 @@ def _normal(
 
 @kernel
 def _connected(
-    points: Array, beams: Ints, ranges: Array, limits: tuple[float, float, float, float]
+    points: Array, beams: Ints, ranges: Array, limits: tuple[float, float, float, float, float]
 ) -> Mask:
     """Return (n,) whether each point and the next one are on one surface; see `_normal`.
 
     `beams` (n,) are the numbers of their beams: some in between may be lost.
     """
-    spacing, min_gap, _, _ = limits
+    spacing, min_gap, _, _, _ = limits
     out = np.zeros(len(points), np.bool_)
     for i in range(len(points) - 1):
         j = i + 1
@@ -243,13 +244,14 @@ def _connected(
 
 @kernel
 def _scatter(
-    points: Array, connected: Mask, stride: int, i: int
+    points: Array, connected: Mask, stride: int, thin: float, i: int
 ) -> tuple[float, int, float, float, float]:
     """Return the scatter of point i and its neighbours on the same surface.
 
     Beyond the nearest ones, only every `stride`-th counts.
 
-    The values are the number of points, that of sides without a neighbour, and the variances xx, xy, yy.
+    The values are the number of points, that of sides on which the surface ends within `thin` m, and the
+    variances xx, xy, yy.
     `connected` (n,) is whether a point and the next one are on one surface.
     """
     x, y = points[i, 0], points[i, 1]
@@ -257,18 +259,20 @@ def _scatter(
     sx = sy = xx = xy = yy = 0.0
     for step in (-1, 1):
         first = min(i, i + step)  # of the pair of neighbours
+        length2 = 0.0  # m^2, of the surface on this side, squared
         for k in range(MAX_NEIGHBOURS * stride):
             pair, j = first + step * k, i + step * (k + 1)
             if pair < 0 or not connected[pair]:
+                at_end += length2 <= thin * thin
                 break
             if k >= MAX_NEIGHBOURS and k % stride:
                 continue
             dx, dy = points[j, 0] - x, points[j, 1] - y
-            if k > 0 and dx * dx + dy * dy > NORMAL_RADIUS * NORMAL_RADIUS:
+            length2 = dx * dx + dy * dy
+            if k > 0 and length2 > NORMAL_RADIUS * NORMAL_RADIUS:
                 break
             n, sx, sy = n + 1.0, sx + dx, sy + dy
             xx, xy, yy = xx + dx * dx, xy + dx * dy, yy + dy * dy
-        at_end += first < 0 or not connected[first]
     return n, at_end, xx / n - (sx / n) ** 2, xy / n - sx * sy / n**2, yy / n - (sy / n) ** 2
 
 

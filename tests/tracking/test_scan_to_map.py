@@ -596,6 +596,19 @@ def test_a_robot_that_stands_is_not_matched_again():
     assert all(a <= b for a, b in pairwise(np.trace(out.covariance, axis1=1, axis2=2)[1:]))
 
 
+@pytest.mark.parametrize(("degrees", "turn"), [(57.0, 0.14), (360.0, 0.4)])
+def test_scans_are_added_before_much_of_the_view_is_new(degrees, turn):
+    step, angles = 0.041, np.radians(np.linspace(-0.5 * degrees, 0.5 * degrees, 200))
+    poses = np.zeros((50, 3))
+    poses[:, 2] = step * np.arange(50)
+    tracker, added = ScanToMap(), []
+    for increment, scan in zip(odometry_of(poses), scans_from(poses, angles=angles), strict=True):
+        steps(tracker, [increment], [scan])
+        added.append(tracker._seen.get("lidar", 200).added[2])
+    turns = np.diff(np.unique(np.round(added, 2)))
+    assert np.ceil(turn / step) * step == pytest.approx(turns, abs=0.015)
+
+
 # --------------------------------------------------------------------------- no odometry
 
 

@@ -74,6 +74,9 @@ from impslam.tracking.submaps import confirmed_surfels, extend, is_empty
 
 MIN_POINTS = 10
 """Points; a scan with fewer is not matched."""
+MAX_NEW_VIEW = 0.14
+"""Share of the view that a turn may show anew before a scan is added to the submaps: 0.14 rad of a depth
+camera's 57 deg. Above 164 deg, `Settings.turn` is less."""
 TURN_CHANGES = (0.0, 1.0, -1.0, 2.0, -2.0)
 """Multiples of `RATE_SIGMA` by which the turn rate may have changed since the last sweep."""
 MAX_LOCATED_SIGMA = 0.02
@@ -226,7 +229,8 @@ def _add_to_submaps(
     lidar.ranges[:] = beams.ranges[k]
     new, pose = lidar.added, state.pose
     far = math.hypot(pose[0] - new[0], pose[1] - new[1]) >= settings.spacing
-    far |= abs(wrap_in_kernel(pose[2] - new[2])) >= settings.turn
+    view = abs(beams.geometry.spacing) * (beams.ranges.shape[1] - 1)
+    far |= abs(wrap_in_kernel(pose[2] - new[2])) >= min(settings.turn, MAX_NEW_VIEW * view)
     if np.isnan(new[0]) or far or moved_on:
         extend(state.submaps, features, pose, settings.length, fits)
         new[:] = pose

@@ -1,6 +1,8 @@
 """Random robots in random buildings: errors, lost scans and calibration of the covariances.
 
-    python benchmarks/random_buildings.py --seeds 0 100           # 5 minutes on 2 cores
+    python benchmarks/random_buildings.py --seeds 0 100               # 5 minutes on 2 cores
+    python benchmarks/random_buildings.py --seeds 0 100 --lost 0.3    # 30 % of the beams lost
+    python benchmarks/random_buildings.py --seeds 0 50 --cameras      # depth cameras instead of lidars
 
 A building has 2 to 4 rows of 2 to 4 rooms or corridors, with doors, furniture and people who walk in the
 rooms. The robot visits all of them, with one of six lidars, mounted anywhere and at any angle, and wheels
@@ -20,6 +22,7 @@ import math
 import tempfile
 from collections import defaultdict
 from collections.abc import Iterator
+from functools import partial
 from itertools import pairwise
 from multiprocessing import get_context
 from pathlib import Path
@@ -63,6 +66,20 @@ LIDARS = {
     "1081 beams over 270°, 30 m, 20 Hz": Lidar(
         beams=1081, angle_min=-math.radians(135.0), angle_step=math.radians(0.25), beam_time=1.7e-5,
         rate=20.0, range_max=30.0, sigma=0.01,
+    ),
+}  # fmt: skip
+CAMERAS = {
+    "depth camera, 57°, 5 m, 10 Hz": Lidar(
+        beams=320, angle_min=-math.radians(28.5), angle_step=math.radians(57.0) / 319, beam_time=0.0,
+        range_min=0.45, range_max=5.0, sigma=0.004, sigma_rate=0.008,
+    ),
+    "depth camera, 57°, 10 m, 15 Hz": Lidar(
+        beams=640, angle_min=-math.radians(28.5), angle_step=math.radians(57.0) / 639, beam_time=0.0,
+        rate=15.0, range_min=0.45, range_max=10.0, sigma=0.004, sigma_rate=0.01,
+    ),
+    "depth camera, 86°, 8 m, 15 Hz": Lidar(
+        beams=424, angle_min=-math.radians(43.0), angle_step=math.radians(86.0) / 423, beam_time=0.0,
+        rate=15.0, range_min=0.3, range_max=8.0, sigma=0.004, sigma_rate=0.01,
     ),
 }  # fmt: skip
 
@@ -189,9 +206,11 @@ def _distance(point: Array, path: Array) -> float:
     return float(np.linalg.norm(nearest - point, axis=1).min())
 
 
-def random_robot(rng: np.random.Generator) -> tuple[str, SimulatedRobot]:
-    """Return the name of the lidar, and a robot with it."""
-    name = list(LIDARS)[int(rng.integers(len(LIDARS)))]
+def random_robot(
+    rng: np.random.Generator, lidars: dict[str, Lidar] = LIDARS, lost: float | None = None
+) -> tuple[str, SimulatedRobot]:
+    """Return the name of a lidar, and a robot with it that loses a share of its beams."""
+    name = list(lidars)[int(rng.integers(len(lidars)))]
     yaw = rng.choice([0.0, 0.0, math.pi / 2, math.pi, rng.uniform(-math.pi, math.pi)])
     mount = rng.uniform(-0.3, 0.4), rng.uniform(-0.15, 0.15), float(yaw)
     wheels = WheelEncoders(
@@ -202,7 +221,8 @@ def random_robot(rng: np.random.Generator) -> tuple[str, SimulatedRobot]:
         slip_sigma=float(rng.choice([0.0, 0.06, 0.15])),
         noise=float(rng.choice([1e-4, 4e-4])),
     )
-    lidar = LIDARS[name].model_copy(update={"mount": mount})
+    dropout = lidars[name].dropout if lost is None else lost
+    lidar = lidars[name].model_copy(update={"mount": mount, "dropout": dropout})
     return name, SimulatedRobot(lidar=lidar, encoders=wheels, imu=None)
 
 
@@ -246,10 +266,10 @@ class Drive(NamedTuple):
     lost: int
 
 
-def drive(seed: int) -> Drive:
-    """Simulate a drive and map it."""
+def drive(seed: int, lidars: dict[str, Lidar] = LIDARS, lost: float | None = None) -> Drive:
+    """Simulate a drive and map it; see `random_robot`."""
     rng = np.random.default_rng(seed)
-    world, (name, robot) = random_world(rng), random_robot(rng)
+    world, (name, robot) = random_world(rng), random_robot(rng, lidars, lost)
     is_alone, true = rng.random() < 0.25, []
     with tempfile.TemporaryDirectory() as folder:
         log, config = Path(folder) / "log.mcap", Path(folder) / "robot.toml"
@@ -295,16 +315,20 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", type=int, nargs=2, default=(0, 100), help="from, to (excluded)")
     parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--lost", type=float, help="share of the beams lost at random")
+    parser.add_argument("--cameras", action="store_true", help="depth cameras instead of lidars")
     asked = parser.parse_args()
+    one_drive = partial(drive, lidars=CAMERAS if asked.cameras else LIDARS, lost=asked.lost)
     found: dict[str, list[Drive]] = defaultdict(list)
     with get_context("spawn").Pool(asked.jobs) as pool:
-        for one in pool.imap_unordered(drive, range(*asked.seeds)):
+        for one in pool.imap_unordered(one_drive, range(*asked.seeds)):
             found[one.lidar].append(one)
             if one.rms > 0.1 or one.lost:
                 print(one, flush=True)
     print("\n| lidar | drives | RMS: median, worst | LOST | TRACKING | of these inside 99 % |")
     print("|---|---|---|---|---|---|")
-    for name in sorted(found, key=lambda name: ("alone" in name, int(name.split()[0]))):
+    names = list(CAMERAS if asked.cameras else LIDARS)
+    for name in [n for n in (*names, *(f"{n}, alone" for n in names)) if n in found]:
         drives = found[name]
         rms = [one.rms for one in drives]
         scans, tracking, inside, lost = (

@@ -17,7 +17,7 @@ import numpy as np
 
 from impslam.geometry.angles import wrap
 from impslam.geometry.kernels import plain
-from impslam.recognition.correlative import HEADING_STEP, Window, search, start_level
+from impslam.recognition.correlative import HEADING_STEP, SEPARATION, Window, search, start_level
 from impslam.recognition.pyramid import GridMemory, Pyramid, build
 from impslam.recognition.submap import Submap
 from impslam.recognition.verify import (
@@ -195,7 +195,12 @@ class Recogniser:
         peak = search(pyramid, task.points, guess, task.window, min_score, turn=task.turn)
         if peak.score == 0.0:
             return self._reject("no peak")
-        closure = self._refine(query, peak.pose, FINE, FINE_PRIOR)._replace(score=peak.score)
+        closure = self._refine(query, peak.pose, FINE, FINE_PRIOR)
+        nearest = self._refine(query, guess, FINE, FINE_PRIOR)  # along a corridor, many poses fit
+        is_same = np.hypot(*(nearest.pose - closure.pose)[:2]) < SEPARATION
+        if is_same and nearest.support.matched > closure.support.matched:
+            closure = nearest
+        closure = closure._replace(score=peak.score)
         if closure.verdict == ClosureStrength.REFUSED:
             return self._reject("contradicted")
         rival = self._rival(query, guess, task, closure)

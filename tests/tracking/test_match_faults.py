@@ -206,6 +206,13 @@ def test_the_standard_deviation_grows_with_the_whole_disputed_distance(direction
         assert np.sqrt(variance / DISPUTED_VARIANCE) == pytest.approx(0.08 * n, rel=0.1)
 
 
+def test_a_motion_the_other_way_is_not_disputed_once_it_pauses():
+    """As where a robot backs up, odometry reports the wrong direction, and one match shows no motion."""
+    back, pause = [(AHEAD, -AHEAD)] * 15, [(AHEAD, STILL)]
+    one = DISPUTED_VARIANCE * AHEAD[0] ** 2
+    assert disputed([*back, *pause, *back, *pause, *back]) == pytest.approx(2.0 * one, rel=0.05)
+
+
 def test_scans_that_show_more_motion_or_hardly_less_are_not_disputed():
     assert disputed([(AHEAD, 2.0 * AHEAD)] * 30) == 0.0
     assert disputed([(AHEAD, 0.9 * AHEAD)] * 30) == 0.0

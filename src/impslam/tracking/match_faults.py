@@ -71,6 +71,8 @@ MIN_DISPUTED = 0.05, 0.15
 """m, and share of the distance, that scans show less than odometry in a disagreement."""
 MAX_OPPOSITE = 0.5
 """Share of odometry's motion that scans may show the other way: people seldom walk so much faster."""
+UNDISPUTED = 1e-6
+"""m disputed after a motion the other way: the window contains that motion, so only later ones count."""
 DISPUTED_VARIANCE = 0.5
 """Variance of the distance, as a share of the square of what scans show less than odometry: people who walk
 along with the robot look like slipping wheels, and at even odds either is right."""
@@ -209,8 +211,8 @@ def disputed_variance(faults: MatchFaults, odometry: Array, scans: Array) -> flo
     ahead, missing = faults.odometry[2], faults.odometry[2] - faults.scans[2]
     opposite = scans[0] * odometry[0] < 0.0 and abs(scans[0]) > MAX_OPPOSITE * abs(odometry[0])
     small = abs(missing) < MIN_DISPUTED[0] + MIN_DISPUTED[1] * abs(ahead)
-    if missing * ahead < 0.0 or small or opposite:
-        faults.disputed[0] = 0.0
+    if opposite or missing * ahead < 0.0 or small:
+        faults.disputed[0] = UNDISPUTED if opposite else 0.0
         return 0.0
     if before > 0.0:  # else it began within the window
         missing = odometry[0] - scans[0]

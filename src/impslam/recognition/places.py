@@ -196,11 +196,7 @@ class Recogniser:
         if peak.score == 0.0:
             return self._reject("no peak")
         closure = self._refine(query, peak.pose, FINE, FINE_PRIOR)
-        nearest = self._refine(query, guess, FINE, FINE_PRIOR)  # along a corridor, many poses fit
-        is_same = np.hypot(*(nearest.pose - closure.pose)[:2]) < SEPARATION
-        if is_same and nearest.support.matched > closure.support.matched:
-            closure = nearest
-        closure = closure._replace(score=peak.score)
+        closure = self._better_near(query, guess, closure)._replace(score=peak.score)
         if closure.verdict == ClosureStrength.REFUSED:
             return self._reject("contradicted")
         rival = self._rival(query, guess, task, closure)
@@ -213,6 +209,15 @@ class Recogniser:
         if not _differ_along_weakest_axis(closure, rival.pose):
             return self._reject("ambiguous")
         return _widened_along_weakest_axis(closure, max(task.window.x, task.window.y))
+
+    def _better_near(self, query: Submap, guess: Array, closure: Closure) -> Closure:
+        """Return the closure, or the nearest one to the guess if it is of the same peak and fits better.
+
+        Along a corridor, poses up to 0.3 m apart have the same score.
+        """
+        nearest = self._refine(query, guess, FINE, FINE_PRIOR)
+        is_same = np.hypot(*(nearest.pose - closure.pose)[:2]) < SEPARATION
+        return nearest if is_same and nearest.support.matched > closure.support.matched else closure
 
     def _rival(self, query: Submap, guess: Array, task: Search, closure: Closure) -> Closure | None:
         """Return the best other pose, if its score is nearly as high."""

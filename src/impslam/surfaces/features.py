@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -52,6 +52,25 @@ NOISE_SAMPLES, MIN_NOISE_SAMPLES = 128, 16  # triples of beams for estimating th
 MIN_NOISE_COSINE = 0.3  # of their incidence: at more than 73 degrees, curvature looks like noise
 
 
+class _Limits(NamedTuple):
+    """Limits for the points of a scan.
+
+    Attributes
+    ----------
+    spacing : rad between neighbouring beams
+    thin : m between features on a surface
+    gap : minimum distance of two surfaces, m
+    roughness : scatter across a surface, m^2
+    variance : of the ranges, for the errors of normals, m^2
+    """
+
+    spacing: float
+    thin: float
+    gap: float
+    roughness: float
+    variance: float
+
+
 def features(scan: Scan, thin: float) -> Features:
     """Return the features of a scan, about `thin` m apart, in base_link."""
     out = np.empty((len(scan.ranges), 5), np.float32)
@@ -93,12 +112,12 @@ def find_features(
     beams = np.flatnonzero(valid)
     points, ranges, origins = points[beams], ranges[beams], origins[beams]
     noise = _noise(points, ranges, origins, spacing)
-    limits = (
+    limits = _Limits(
         spacing,
+        thin,
         max(MIN_GAP, NOISE_GAP * noise),
         max(ROUGHNESS, NOISE_ROUGHNESS * noise * noise),
         min(max(noise, NORMAL_NOISE[0]), NORMAL_NOISE[1]) ** 2,
-        thin,
     )
     connected = _connected(points, beams, ranges, limits)
     count, last, due, near = 0, -1, 0, 0.0
@@ -109,7 +128,7 @@ def find_features(
         nx, ny, weight = _normal(points, connected, ranges, origins, limits, i)
         dx, dy = origins[i, 0] - x, origins[i, 1] - y
         skipped = _skipped_beams(math.hypot(dx, dy), nx * dx + ny * dy, spacing, thin)
-        last, due, near = i, beams[i] + skipped, thin + limits[1]
+        last, due, near = i, beams[i] + skipped, thin + limits.gap
         if skipped == 0:
             due, near = len(valid), thin
         out[count, 0], out[count, 1] = x, y
@@ -124,8 +143,8 @@ def _skipped_beams(distance: float, across: float, spacing: float, thin: float) 
 
     `distance` is that of the last point kept, and `across` its part along the normal there, m. Whether a
     point is kept must not depend on its own noise: of many beams on a wall, the first that was measured far
-    enough from the last point has noise away from it, which is a longer range to the left of the lidar's
-    foot on the wall, and a shorter one to the right. With 1 cm of noise, that turned walls by 0.4 deg.
+    enough from the last point has noise away from it. That is a longer range on one side of the wall's
+    nearest point, and a shorter one on the other: with 1 cm of noise, walls were turned by 0.4 deg.
     """
     if not (spacing > 0.0 and across > MIN_INCIDENCE * distance):
         return 0
@@ -186,23 +205,19 @@ def _normal(
     connected: Mask,
     ranges: Array,
     origins: Array,
-    limits: tuple[float, float, float, float, float],
+    limits: _Limits,
     i: int,
 ) -> tuple[float, float, float]:
-    """Return the normal at point i and its weight: the minor axis of its neighbours' scatter.
-
-    `limits` are the angle between beams, the minimum gap between surfaces in m, the roughness in m^2, the
-    variance of the ranges in m^2, and the distance between features in m.
-    """
-    spacing, _, roughness, noise2, thin = limits
+    """Return the normal at point i and its weight: the minor axis of its neighbours' scatter."""
+    spacing = limits.spacing
     stride = max(1, int(NORMAL_RADIUS / (MAX_NEIGHBOURS * max(ranges[i] * spacing, 1e-3))))
     for reach in (stride, 1):
-        n, at_end, xx, xy, yy = _scatter(points, connected, reach, thin, i)
+        n, at_end, xx, xy, yy = _scatter(points, connected, reach, limits.thin, i)
         if n < 3.0:
             return _single(points, ranges, origins, spacing, i)
         mean, difference = 0.5 * (xx + yy), 0.5 * (xx - yy)
         half = math.sqrt(difference * difference + xy * xy)
-        flat = mean - half < FLATNESS * (mean + half) + roughness
+        flat = mean - half < FLATNESS * (mean + half) + limits.roughness
         if flat:  # else the surface may end near by
             break
     x, y = points[i, 0], points[i, 1]
@@ -216,27 +231,25 @@ def _normal(
     if towards < 0.0:
         nx, ny, towards = -nx, -ny, -towards
     max_sigma = MAX_END_SIGMA if at_end else MAX_NORMAL_SIGMA
-    is_known = noise2 < max_sigma * max_sigma * n * 2.0 * half  # the noise adds to both eigenvalues
+    spread = n * 2.0 * half  # the noise adds to both eigenvalues
+    is_known = limits.variance < max_sigma * max_sigma * spread
     if towards <= MIN_INCIDENCE or not is_known:
         return nx, ny, 0.0
     return nx, ny, 0.5 if at_end else 1.0
 
 
 @kernel
-def _connected(
-    points: Array, beams: Ints, ranges: Array, limits: tuple[float, float, float, float, float]
-) -> Mask:
-    """Return (n,) whether each point and the next one are on one surface; see `_normal`.
+def _connected(points: Array, beams: Ints, ranges: Array, limits: _Limits) -> Mask:
+    """Return (n,) whether each point and the next one are on one surface.
 
     `beams` (n,) are the numbers of their beams: some in between may be lost.
     """
-    spacing, min_gap, _, _, _ = limits
     out = np.zeros(len(points), np.bool_)
     for i in range(len(points) - 1):
         j = i + 1
-        gap = min_gap
+        gap = limits.gap
         if beams[j] - beams[i] <= MAX_LOST + 1:
-            gap = max(gap, min(GAP_BEAMS * min(ranges[i], ranges[j]) * spacing, MAX_GAP))
+            gap = max(gap, min(GAP_BEAMS * min(ranges[i], ranges[j]) * limits.spacing, MAX_GAP))
         dx, dy = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1]
         out[i] = dx * dx + dy * dy <= gap * gap
     return out

@@ -89,10 +89,8 @@ def test_without_scans_particles_spread_as_the_motion_does():
 def test_a_scan_in_a_known_map_determines_the_motion():
     """Where points are many and do not share errors, the scan outweighs a motion that is 2 cm off."""
     scan, spreads = scanned(RING, TRUTH[0]), []
-    for how in (
-        {"insertion_distance": 0.0, "correlated_points": 1.0},
-        {},
-    ):  # by default, no map yet
+    known_map = {"insertion_distance": 0.0, "correlated_points": 1.0}
+    for how in (known_map, {}):  # by default, no scan is in the map yet
         made = begun(particles=50, **how)
         for k, d_pose in enumerate(([0.0, 0.0, 0.0], [0.02, -0.015, 0.004])):
             made.add(keyframe(k, np.array(d_pose), scan))

@@ -159,9 +159,8 @@ def test_thinning_keeps_points_apart_and_leaves_normals_as_they_are(thin):
     scan = cast(ROOM).scan
     every, kept = features(scan, 0.0), features(scan, thin)
     apart = np.hypot(*np.diff(kept[:, :2], axis=0).T)
-    one_wall = (kept[1:, 2:4] * kept[:-1, 2:4]).sum(
-        1
-    ) > 0.99  # around a corner, the chord is shorter
+    cosine = (kept[1:, 2:4] * kept[:-1, 2:4]).sum(1)
+    one_wall = cosine > 0.99  # around a corner, the chord is shorter
     nearest = 1.5  # m; over `thin` the spacing of beams on a wall changes by less than this share
     assert apart[one_wall].min() >= thin * (1.0 - thin / nearest) - 1e-6
     everywhere = {row[:4].tobytes() for row in every}

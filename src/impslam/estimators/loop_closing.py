@@ -44,7 +44,7 @@ MAX_REACH, MIN_DISTANT_EVIDENCE = 16.0, 4.5
 look like the one found. Three strong closures are needed, or two and a weak one. In 3 of 10 simulated
 drives through a convention centre, with a lidar of 4 m range, two were 11 m off."""
 CONFIRMATION_DISTANCE = 12.0  # m driven within which a second closure has to agree
-MAX_KNOWN_WINDOW = 3.0  # m: a node whose window is no wider should be where the graph has it,
+MAX_KNOWN_WINDOW = 3.0  # m: a node whose usual window is no wider should be where the graph has it,
 KNOWN_DISTANCE = 0.5 * REFERENCE_RADIUS  # m: if another node is so near
 MIN_CONTRADICTED = 0.1
 """Share of the points of a node or of its reference in the free space of the other, in excess of those in

@@ -8,7 +8,7 @@ import numpy as np
 
 from impslam.columns import Scans
 from impslam.geometry.kernels import kernel, plain
-from impslam.surfaces.features import Features, find_features
+from impslam.surfaces.features import Features, Sampling, find_features
 from impslam.types import Array, Mask
 
 
@@ -61,7 +61,7 @@ def beam_columns(scans: Scans | None, m: int) -> BeamColumns:
 @kernel
 def find_beam_features(beams: BeamColumns, k: int, thin: float, out: Features) -> int:
     """Fill `out` with the features of sweep k, at least `thin` m apart; return their number."""
-    spacing = abs(beams.geometry.spacing)
+    sampling = Sampling(abs(beams.geometry.spacing), thin, smooth=True)
     return find_features(
-        beams.points[k], beams.valid[k], beams.ranges[k], beams.origins[k], spacing, thin, out
+        beams.points[k], beams.valid[k], beams.ranges[k], beams.origins[k], sampling, out
     )

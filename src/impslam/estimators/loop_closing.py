@@ -1,8 +1,7 @@
 """Find revisited places, and add loop closures to the pose graph.
 
 Drift grows with distance, so closures are only searched between nodes with a long path through the graph,
-in a window of the size of the possible drift: that of a usual robot over this path, or more if the graph is
-less certain, as with a lidar that sees little. A wide window contains more similar places, and a false
+in a window of the size of the possible drift. A wide window contains more similar places, and a false
 closure is far worse than a missed one: a closure from a wide window is accepted only when others, found
 within the next metres, are consistent with it (Mangelson et al. 2018). More of them are required if the
 pose is so uncertain that the true place may be outside of the widest window.
@@ -15,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from impslam.errors import NumericalError
 from impslam.estimators.keyframe_log import KeyframeLog, revised
 from impslam.estimators.pose_graph import CLOSURE_LENGTH, PoseGraph
 from impslam.geometry.covariances import inverse_of
@@ -44,7 +44,7 @@ MAX_REACH, MIN_DISTANT_EVIDENCE = 16.0, 4.5
 look like the one found. Three strong closures are needed, or two and a weak one. In 3 of 10 simulated
 drives through a convention centre, with a lidar of 4 m range, two were 11 m off."""
 CONFIRMATION_DISTANCE = 12.0  # m driven within which a second closure has to agree
-MAX_KNOWN_WINDOW = 3.0  # m: a node whose usual window is no wider should be where the graph has it,
+MAX_KNOWN_WINDOW = 3.0  # m: a node whose window is no wider should be where the graph has it,
 KNOWN_DISTANCE = 0.5 * REFERENCE_RADIUS  # m: if another node is so near
 MIN_CONTRADICTED = 0.1
 """Share of the points of a node or of its reference in the free space of the other, in excess of those in
@@ -172,20 +172,16 @@ class LoopCloser:
         weak closure only counts if there is no strong one with another candidate.
         """
         paths = graph.path_lengths(node)
-        reach = graph.reach(node)
-        windows = np.maximum(self._radius(paths), np.minimum(reach[:, 0], self._search.max_window))
-        candidates = self._candidates(node, paths, windows, keys, graph)
+        candidates = self._candidates(node, paths, keys, graph)
         if not candidates or (query := self._query(node, keys)) is None:
             return False
         weak: PendingClosure | None = None
         for u in candidates:
             if (reference := self._reference(u, node, keys, graph)) is None:
                 continue
-            guess = between(graph.poses[u], graph.poses[node])
-            window = self.window(float(paths[u]), *reach[u].tolist())
+            guess, window = between(graph.poses[u], graph.poses[node]), self.window(float(paths[u]))
             closure = self.recogniser.find_closure(reference, query, guess, window)
-            usual = float(self._radius(paths[u]))
-            is_known = usual <= MAX_KNOWN_WINDOW and math.hypot(*guess[:2]) < KNOWN_DISTANCE
+            is_known = window.x <= MAX_KNOWN_WINDOW and math.hypot(*guess[:2]) < KNOWN_DISTANCE
             contradicts = is_known and self._contradicts(reference, query, guess, closure)
             if contradicts:
                 closure = None
@@ -195,21 +191,19 @@ class LoopCloser:
                 continue
             new = PendingClosure(u, node, closure, float(keys.distance[keys.nodes[node]]))
             if new.is_strong:
-                return self._accept(new, graph, window.x, reach[u, 0])
+                return self._accept(new, graph, window.x)
             weak = weak or new
-        if weak is None:
-            return False
-        return self._accept(weak, graph, float(windows[weak.i]), reach[weak.i, 0])
+        return weak is not None and self._accept(weak, graph, float(self._radius(paths[weak.i])))
 
     def _candidates(
-        self, node: int, paths: Array, windows: Array, keys: KeyframeLog, graph: PoseGraph
+        self, node: int, paths: Array, keys: KeyframeLog, graph: PoseGraph
     ) -> list[int]:
         """Return the nodes to compare with a node, the nearest relative to its window first.
 
-        `paths` and `windows` (n,) m are the path lengths to all nodes, and the windows. Each candidate
-        covers only a part of a wide window, so more are tried there.
+        `paths` (n,) m are the path lengths to all nodes. Each candidate covers only a part of a wide
+        window, so more are tried there.
         """
-        search = self._search
+        search, windows = self._search, self._radius(paths)
         offsets = np.hypot(*(graph.poses[:, :2] - graph.poses[node, :2]).T)
         possible = (paths > search.min_path) & (offsets < windows + CLOSE_BY) & np.isfinite(paths)
         possible[node:] = False
@@ -289,15 +283,12 @@ class LoopCloser:
         poses = revised(keys, graph, rows)
         return _submap(rows, poses, graph.poses[u], keys, (REFERENCE_CELL, REFERENCE_RANGE))
 
-    def window(self, distance: float, position: float = 0.0, heading: float = 0.0) -> Window:
-        """Return the window of the possible drift over a distance in m, at least that of the graph.
-
-        That is up to `position` in m and `heading` in rad.
-        """
-        s = self._search
-        radius = max(float(self._radius(np.array(distance))), min(position, s.max_window))
-        turn = max(s.min_turn_window + s.turn_drift * distance, heading)
-        return Window(radius, radius, min(turn, s.max_turn_window))
+    def window(self, distance: float) -> Window:
+        """Return the window of the possible drift over a distance in m."""
+        s, radius = self._search, float(self._radius(np.array(distance)))
+        return Window(
+            radius, radius, min(s.min_turn_window + s.turn_drift * distance, s.max_turn_window)
+        )
 
     def _radius(self, distances: Array) -> Array:
         """Return the possible drift in m over distances in m."""
@@ -308,11 +299,8 @@ class LoopCloser:
         """Return the distance in m over which the possible drift is `radius` m."""
         return max(radius - self._search.min_window, 0.0) / self._search.drift
 
-    def _accept(self, new: PendingClosure, graph: PoseGraph, window: float, reach: float) -> bool:
-        """Add a closure and those that agree with it to the graph, or keep it pending.
-
-        `window` and `reach` (3 sigma) tell how far its ends may be from the poses of the graph, m.
-        """
+    def _accept(self, new: PendingClosure, graph: PoseGraph, window: float) -> bool:
+        """Add a closure and those that agree with it to the graph, or keep it pending."""
         if window <= SAFE_WINDOW:
             return new.is_strong and add_to_graph(new, graph)
         self._pending = [
@@ -324,13 +312,20 @@ class LoopCloser:
             if p.closure.has_position == new.closure.has_position and closures_agree(p, new, graph)
         ]
         evidence = sum(p.evidence for p in (*agreeing, new))
-        required = MIN_EVIDENCE if reach <= MAX_REACH else MIN_DISTANT_EVIDENCE
-        if not agreeing or evidence < required:
+        if not agreeing or evidence < self._min_evidence(new, graph):
             self._pending.append(new)
             return False
         self._pending = []
         added = [add_to_graph(p, graph) for p in (*agreeing, new)]
         return any(added)
+
+    def _min_evidence(self, new: PendingClosure, graph: PoseGraph) -> float:
+        """Return the evidence required of a closure and those that agree with it."""
+        try:
+            reach = float(graph.reach(new.j)[new.i])
+        except NumericalError:
+            reach = math.inf
+        return MIN_EVIDENCE if reach <= MAX_REACH else MIN_DISTANT_EVIDENCE
 
 
 def _submap(

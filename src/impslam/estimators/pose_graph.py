@@ -260,18 +260,17 @@ class PoseGraph:
         return out
 
     def reach(self, node: int) -> Array:
-        """Return the uncertainty (n, 2) m, rad of each node's position and heading relative to one node.
+        """Return the uncertainty (n,) m of each node's position relative to one node, 3 sigma.
 
-        It is 3 sigma, and infinite for nodes that no edges connect to that node. Raises as `solve` does.
+        It is infinite for nodes that no edges connect to that node. Raises as `solve` does.
         """
         apart = self.roots != self.roots[node]
         fixed = apart | self.is_folded
         fixed[self.hosts[node]] = True
         covariances = marginals(self.poses, self.edges, np.flatnonzero(fixed))
         covariances = self._with_folded(self.poses, covariances)
-        position = np.linalg.eigvalsh(covariances[:, :2, :2])[:, -1]
-        variances = np.column_stack((position, covariances[:, 2, 2]))
-        return np.where(apart[:, None], math.inf, 3.0 * np.sqrt(np.maximum(variances, 0.0)))
+        variances = np.linalg.eigvalsh(covariances[:, :2, :2])[:, -1]
+        return np.where(apart, math.inf, 3.0 * np.sqrt(np.maximum(variances, 0.0)))
 
     def path_lengths(self, node: int) -> Array:
         """Return the length (n,) m of the shortest path from a node to each, along the edges."""

@@ -92,7 +92,7 @@ class _Follower:
     """A tracker that restarts when it is lost."""
 
     def __init__(self) -> None:
-        self._tracker = ScanToMap()
+        self._tracker = ScanToMap(smooth=False)
         self._gate = Gate(np.full(3, NO_LIMIT), np.zeros(3))
         self._restarted = False
 
@@ -114,7 +114,7 @@ class _Follower:
             yield _Followed(steps.moved[:end], trusted[:end], steps.located[:end] & determined)
             begin += end
             if self._restarted:
-                self._tracker = ScanToMap()
+                self._tracker = ScanToMap(smooth=False)
 
 
 def determines_pose(scans: Scans) -> Mask:

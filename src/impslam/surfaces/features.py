@@ -47,8 +47,7 @@ FLATNESS, ROUGHNESS = 0.05, 4e-4
 """Limit of the scatter across a surface: share of that along it, plus (2 cm)^2."""
 NOISE_ROUGHNESS, NOISE_GAP = 2.0, 4.0
 """If the range noise is larger: that limit in variances, which 1 % of surfaces exceed with 8 neighbours on
-either side, and the minimum gap in standard deviations. A scatter up to that limit is noise, a larger one
-that of a curved or rough surface."""
+either side, and the minimum gap in standard deviations."""
 NOISE_SAMPLES, MIN_NOISE_SAMPLES = 128, 16
 """Triples of beams for estimating the noise, and the least number in one half of the ranges."""
 NOISE_GROWTH = 6.6
@@ -282,7 +281,7 @@ def _normal(
     is_known = bounded < max_sigma * max_sigma * spread
     if towards <= MIN_INCIDENCE or not is_known:
         return nx, ny, 0.0, 0.0
-    noise = min(NOISE_ROUGHNESS * variance / max(mean - half, 1e-12), 1.0)  # share of the scatter
+    noise = min(variance / max(mean - half, 1e-12), 1.0)  # its share of the scatter
     return nx, ny, 0.5 if at_end else 1.0, noise * (nx * mx + ny * my)
 
 

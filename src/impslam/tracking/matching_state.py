@@ -25,7 +25,6 @@ class Settings(NamedTuple):
     spacing: float
     turn: float
     thin: float
-    smooth: bool
     drift: Array
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from impslam.geometry import se2
 from impslam.graph.bearings import ScanFeatures
-from impslam.surfaces.features import beam_spacing, find_features
+from impslam.surfaces.features import Sampling, beam_spacing, find_features
 
 
 def _walls(corners):
@@ -72,7 +72,9 @@ def features_at(pose, mount=FRONT, noise=None, thin=0.04):
     out = np.empty((len(ranges), 5), np.float32)
     origins = np.tile(origin, (len(ranges), 1))
     spacing, valid = beam_spacing(angles), np.isfinite(ranges)
-    return out[: find_features(points, valid, ranges, origins, spacing, thin, out)]
+    return out[
+        : find_features(points, valid, ranges, origins, Sampling(spacing, thin, smooth=True), out)
+    ]
 
 
 def scans_at(poses, mount=FRONT, noise=None):

@@ -83,20 +83,30 @@ def test_scans_with_something_near_that_soon_leaves_are_in_doubt_and_not_mapped(
     assert off.max() < 0.1
 
 
-COVERED, END = 200, 470  # scans: people all around, and the end of new ground
+AHEAD = slice(200, 210)  # scans: a second in a corridor whose end was in view before
+TURNING = slice(143, 168)  # scans: a corner, behind which nothing was in view before
+END = 470  # scans: the end of new ground
 
 
-def covered(drive):
-    """Return a drive whose lidar sees nothing but a dense crowd for a second."""
+def covered(drive, rows):
+    """Return a drive whose lidar sees nothing but a dense crowd in some scans."""
     poses, ranges = drive[0], drive[1].copy()
-    rows = slice(COVERED, COVERED + 10)
     people = np.random.default_rng(1).uniform(0.5, 1.5, ranges[rows].shape)
     ranges[rows] = np.minimum(ranges[rows], people)
     return poses, ranges
 
 
+def test_a_robot_that_was_in_a_crowd_is_found_on_ground_that_was_in_view_before(drive):
+    known, off, health = run(*covered([one[:END] for one in drive], AHEAD))
+    assert 0 < np.count_nonzero(health.states == LOST) < 100  # 10 m
+    assert not (health.reasons == ASSUMED).any()
+    assert health.reasons[-1] == NONE
+    assert known.keyframes.placed.all()
+    assert off[AHEAD.stop + 100 :].max() < 0.1
+
+
 def test_on_new_ground_a_place_by_odometry_is_reported_as_assumed(drive):
-    known, _, health = run(*covered([one[:END] for one in drive]))
+    known, _, health = run(*covered([one[:END] for one in drive], TURNING))
     assert (health.states == LOST).any()
     assert health.reasons[-1] == ASSUMED
     assert known.keyframes.placed.all()
@@ -104,8 +114,8 @@ def test_on_new_ground_a_place_by_odometry_is_reported_as_assumed(drive):
 
 def test_a_place_from_before_shows_that_odometry_was_right(drive):
     """The robot drives all the way back, in reverse."""
-    there = [one[:END] for one in drive]
-    _, off, health = run(*covered([np.concatenate([one, one[-2::-1]]) for one in there]))
+    there = [np.concatenate([one[:END], one[END - 2 :: -1]]) for one in drive]
+    _, off, health = run(*covered(there, TURNING))
     assert (health.reasons == ASSUMED).any()
     assert health.reasons[-1] == NONE
     assert np.median(off) < 0.1

@@ -26,7 +26,7 @@ NOISE = (0.005, 0.0)
 def seen(pose, noise=0.0, rng=None, offset=0.0):
     """Return the surface seen by a lidar at a pose, with an offset added to its ranges."""
     scan = cast(ROOM, CIRCLES, pose=np.array(pose), noise=noise, rng=rng).scan
-    rows = features(with_ranges(scan, scan.ranges + offset, scan.valid), 0.0)
+    rows = features(with_ranges(scan, scan.ranges + offset, scan.valid), 0.0, smooth=False)
     return surface(rows[rows[:, 4] > 0])
 
 

@@ -7,7 +7,13 @@ import pytest
 from tests.extractors.scans import cast, room, with_ranges
 from tests.rooms import MOUNTS, Mount, features_at
 
-from impslam.surfaces.features import beam_spacing, features, find_features, leave_out_oblique
+from impslam.surfaces.features import (
+    Sampling,
+    beam_spacing,
+    features,
+    find_features,
+    leave_out_oblique,
+)
 
 ROOM = room(-2.0, 3.0, -1.5, 2.2)
 LASERS = [(0.0, 0.0, 0.0), (0.4, 0.2, 1.0), (-0.3, -0.25, math.pi)]
@@ -267,5 +273,53 @@ def test_the_noise_of_one_object_is_that_object():
 def test_points_at_one_place_have_no_normal():
     points, ranges = np.tile([[3.0, 1.0]], (5, 1)), np.full(5, np.hypot(3.0, 1.0))
     out = np.empty((5, 5), np.float32)
-    count = find_features(points, ranges > 0.0, ranges, np.zeros((5, 2)), 0.0, 0.0, out)
+    count = find_features(
+        points, ranges > 0.0, ranges, np.zeros((5, 2)), Sampling(0.0, 0.0, smooth=True), out
+    )
     np.testing.assert_array_equal(out[:count, 2:], np.zeros((5, 3)))
+
+
+@pytest.mark.parametrize("noise", [0.01, 0.03])
+def test_smoothed_points_have_a_quarter_of_the_noise(rng, noise):
+    """A line through 17 points; in the middle of them its error is a quarter of theirs."""
+    wall = np.array([[[4.0, -3.0], [4.0, 3.0]]])
+    off = {True: [], False: []}
+    for _ in range(20):
+        scan = cast(wall, noise=noise, rng=rng).scan
+        for smooth in off:
+            rows = features(scan, 0.04, smooth=smooth)
+            inner = rows[(rows[:, 4] == 1.0) & (np.abs(rows[:, 1]) < 1.5)]
+            off[smooth] += (inner[:, 0] - 4.0).tolist()
+    assert np.std(off[False]) == pytest.approx(noise, rel=0.1)
+    assert np.std(off[True]) == pytest.approx(0.25 * noise, rel=0.2)
+    assert abs(np.mean(off[True])) < 0.1 * noise
+
+
+def test_smoothing_keeps_the_shape_of_a_column(rng):
+    """Its points scatter about a line by more than the noise, so they stay on the circle."""
+    column = np.array([[2.0, 0.0, 0.25]])
+    angles = np.linspace(-1.5, 1.5, 1001)
+    off = []
+    for _ in range(20):
+        scan = cast(ROOM, column, angles=angles, noise=0.003, rng=rng).scan
+        x, y = features(scan, 0.04)[:, :2].T
+        apart = np.hypot(x - 2.0, y) - 0.25
+        off += apart[np.abs(apart) < 0.05].tolist()
+    assert len(off) > 100
+    assert abs(np.mean(off)) < 0.005
+    assert np.std(off) < 0.01
+
+
+@pytest.mark.parametrize("growth", [0.0, 0.02])
+def test_a_far_wall_is_a_surface_if_the_noise_grows_with_the_range(rng, growth):
+    """At 6 m it is then 12 cm. If all of the scan had the noise of the median, it would be a heap."""
+    corridor = np.array(
+        [[[6.0, -4.0], [6.0, 4.0]], [[0.0, -1.0], [6.0, -1.0]], [[0.0, 1.0], [6.0, 1.0]]]
+    )
+    scan = cast(corridor, angles=np.linspace(-1.5, 1.5, 1001), range_max=20.0).scan
+    sigma = 0.003 + growth * scan.ranges
+    noisy = with_ranges(scan, scan.ranges + rng.normal(0.0, sigma), scan.valid)
+    rows = features(noisy, 0.04)
+    far = rows[(np.abs(rows[:, 0] - 6.0) < 0.3) & (np.abs(rows[:, 1]) < 0.7)]
+    assert len(far) > 20
+    assert np.mean((far[:, 2] != 0.0) | (far[:, 3] != 0.0)) > 0.9

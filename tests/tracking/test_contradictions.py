@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from impslam.geometry.se2 import compose
-from impslam.surfaces.features import find_features
+from impslam.surfaces.features import Sampling, find_features
 from impslam.surfaces.surface_map import add, empty_surface_map
 from impslam.tracking.beams import Geometry
 from impslam.tracking.contradictions import MIN_CONTRADICTED, contradicted_share
@@ -56,7 +56,9 @@ def contradicted(poses, pose, seen=None, valid=None, before=WORLD):
         directions = np.stack((np.cos(ANGLES), np.sin(ANGLES)), axis=-1)
         origins = np.tile(GEOMETRY.laser[:2], (BEAMS, 1))
         points, found = origins + ranges[:, None] * directions, np.empty((BEAMS, 5), np.float32)
-        n = find_features(points, everything, ranges, origins, SPACING, 0.04, found)
+        n = find_features(
+            points, everything, ranges, origins, Sampling(SPACING, 0.04, smooth=True), found
+        )
         add(surface_map, found[:n], np.array(place, float), 20.0)
     return contradicted_share(
         scan_at(pose if seen is None else seen),

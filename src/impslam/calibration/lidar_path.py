@@ -15,7 +15,7 @@ from impslam.health import NONE
 from impslam.odometry.lidar_only import LidarOnly
 from impslam.robot import Robot
 from impslam.sensors.lidar2d import Lidar2D
-from impslam.surfaces.features import beam_spacing, find_features
+from impslam.surfaces.features import Sampling, beam_spacing, find_features
 from impslam.tracking.base import Gate
 from impslam.tracking.scan_to_map import ScanToMap
 from impslam.types import Array, Ints, Mask
@@ -92,7 +92,7 @@ class _Follower:
     """A tracker that restarts when it is lost."""
 
     def __init__(self) -> None:
-        self._tracker = ScanToMap()
+        self._tracker = ScanToMap(smooth=False)
         self._gate = Gate(np.full(3, NO_LIMIT), np.zeros(3))
         self._restarted = False
 
@@ -114,7 +114,7 @@ class _Follower:
             yield _Followed(steps.moved[:end], trusted[:end], steps.located[:end] & determined)
             begin += end
             if self._restarted:
-                self._tracker = ScanToMap()
+                self._tracker = ScanToMap(smooth=False)
 
 
 def determines_pose(scans: Scans) -> Mask:
@@ -139,11 +139,12 @@ def _surface_points(scans: Scans, rows: Ints) -> tuple[Ints, Array, Array]:
 
     Scans are given by their places in `rows`.
     """
-    spacing, out = beam_spacing(scans.angles), np.empty((scans.points.shape[1], 5), np.float32)
+    sampling = Sampling(beam_spacing(scans.angles), THIN, smooth=False)
+    out = np.empty((scans.points.shape[1], 5), np.float32)
     found = [np.empty((0, 5), np.float32)]
     for k in rows.tolist():
         count = find_features(
-            scans.points[k], scans.valid[k], scans.ranges[k], scans.origins[k], spacing, THIN, out
+            scans.points[k], scans.valid[k], scans.ranges[k], scans.origins[k], sampling, out
         )
         found.append(out[:count][out[:count, 4] > 0.0])
     counts = [len(some) for some in found[1:]]

@@ -30,7 +30,7 @@ from impslam.columns import Columns, Scans
 from impslam.geometry.kernels import plain
 from impslam.geometry.se2 import between, rotation, transform
 from impslam.sensors.lidar2d import Lidar2D
-from impslam.surfaces.features import Features, beam_spacing, find_features
+from impslam.surfaces.features import Features, Sampling, beam_spacing, find_features
 from impslam.types import Array, Ints
 
 PAIR_DISTANCE, PAIR_TURN = 0.3, 0.3
@@ -172,9 +172,9 @@ def _features(
 def sweep_surface(scans: Scans, k: int) -> Surface:
     """Return the surface of sweep k, in the frame of the scans."""
     out = np.empty((len(scans.angles), 5), np.float32)
-    spacing = beam_spacing(scans.angles)
+    sampling = Sampling(beam_spacing(scans.angles), 0.0, smooth=False)
     count = find_features(
-        scans.points[k], scans.valid[k], scans.ranges[k], scans.origins[k], spacing, 0.0, out
+        scans.points[k], scans.valid[k], scans.ranges[k], scans.origins[k], sampling, out
     )
     return surface(out[:count][out[:count, 4] > 0.0])
 

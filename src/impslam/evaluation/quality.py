@@ -31,7 +31,7 @@ from impslam.graph.bearings import Fans, ScanFeatures, nearest_feature, sort_by_
 from impslam.graph.overlaps import Nearness, overlaps
 from impslam.map import Keyframes, Map
 from impslam.maps.grid import PlacedScans
-from impslam.surfaces.features import Features, find_features
+from impslam.surfaces.features import Features, Sampling, find_features
 from impslam.types import Array, Ints, Mask
 
 MAX_ERROR = 0.6  # m: surfaces farther apart are two walls, not one doubled wall
@@ -140,7 +140,8 @@ def _find(scans: PlacedScans, out: Features) -> Ints:
         turns = np.abs(np.diff(np.arctan2(offsets[:, 1], offsets[:, 0])))
         spacing = np.median(turns) if len(turns) else 0.0
         rest = out[starts[k] :]
-        count = find_features(points, ranges > 0.0, ranges, origins, spacing, POINT_SPACING, rest)
+        sampling = Sampling(spacing, POINT_SPACING, smooth=False)
+        count = find_features(points, ranges > 0.0, ranges, origins, sampling, rest)
         starts[k + 1] = starts[k] + count
     return starts
 

@@ -8,7 +8,7 @@ from impslam.geometry.angles import wrap
 from impslam.map import Keyframes
 from impslam.recognition.free_ranges import Floats, free_ranges
 from impslam.recognition.submap import FEATURE_SPACING, View
-from impslam.surfaces.features import find_features
+from impslam.surfaces.features import Sampling, find_features
 from impslam.types import Array
 
 
@@ -33,5 +33,6 @@ def points_view(points: Array | Floats, laser: Array) -> View:
     spacing = float(np.median(steps)) if n > 1 else 0.0
     rows = np.empty((n, 5), np.float32)
     origins, valid = np.broadcast_to(laser, (n, 2)).copy(), ranges > 0.0
-    count = find_features(ends, valid, ranges, origins, spacing, FEATURE_SPACING, rows)
+    sampling = Sampling(spacing, FEATURE_SPACING, smooth=False)
+    count = find_features(ends, valid, ranges, origins, sampling, rows)
     return View(rows[:count].copy(), np.array(laser, float), free_ranges(ends, laser, spacing))

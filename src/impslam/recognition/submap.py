@@ -52,7 +52,7 @@ class Submap(NamedTuple):
 def view(scan: Scan) -> View:
     """Return the view of a scan, with features at least `FEATURE_SPACING` apart."""
     free = free_ranges(scan.points[scan.valid], scan.laser[:2], beam_spacing(scan.angles))
-    return View(features(scan, FEATURE_SPACING), scan.laser[:2].copy(), free)
+    return View(features(scan, FEATURE_SPACING, smooth=False), scan.laser[:2].copy(), free)
 
 
 def gather(

@@ -48,8 +48,29 @@ FLATNESS, ROUGHNESS = 0.05, 4e-4
 NOISE_ROUGHNESS, NOISE_GAP = 2.0, 4.0
 """If the range noise is larger: that limit in variances, which 1 % of surfaces exceed with 8 neighbours on
 either side, and the minimum gap in standard deviations."""
-NOISE_SAMPLES, MIN_NOISE_SAMPLES = 128, 16  # triples of beams for estimating the noise
+NOISE_SAMPLES, MIN_NOISE_SAMPLES = 128, 16
+"""Triples of beams for estimating the noise, and the least number in one half of the ranges."""
+NOISE_GROWTH = 6.6
+"""Over the root of the number of triples in one half, the relative increase of the variance from the nearer
+to the farther half that is no chance: two standard deviations of a ratio of squared medians."""
 MIN_NOISE_COSINE = 0.3  # of their incidence: at more than 73 degrees, curvature looks like noise
+
+
+class Sampling(NamedTuple):
+    """How a scan is sampled, and its features.
+
+    Attributes
+    ----------
+    spacing : rad between neighbouring beams
+    thin : m between features on a surface
+    smooth : whether a point on a surface is moved along its normal to the line through its neighbours, as
+        far as they scatter by noise only: 17 beams determine a wall to a quarter of the noise of one. The
+        errors of neighbouring features are then correlated
+    """
+
+    spacing: float
+    thin: float
+    smooth: bool
 
 
 class _Limits(NamedTuple):
@@ -57,25 +78,20 @@ class _Limits(NamedTuple):
 
     Attributes
     ----------
-    spacing : rad between neighbouring beams
-    thin : m between features on a surface
-    gap : minimum distance of two surfaces, m
-    roughness : scatter across a surface, m^2
-    variance : of the ranges, for the errors of normals, m^2
+    spacing, thin : see `Sampling`
+    noise : variance of a range, m^2, and its increase with the squared range, 1
     """
 
     spacing: float
     thin: float
-    gap: float
-    roughness: float
-    variance: float
+    noise: tuple[float, float]
 
 
-def features(scan: Scan, thin: float) -> Features:
-    """Return the features of a scan, about `thin` m apart, in base_link."""
+def features(scan: Scan, thin: float, *, smooth: bool = True) -> Features:
+    """Return the features of a scan in base_link; see `Sampling` for `thin` and `smooth`."""
     out = np.empty((len(scan.ranges), 5), np.float32)
-    spacing = beam_spacing(scan.angles)
-    count = find_features(scan.points, scan.valid, scan.ranges, scan.origins, spacing, thin, out)
+    sampling = Sampling(beam_spacing(scan.angles), thin, smooth)
+    count = find_features(scan.points, scan.valid, scan.ranges, scan.origins, sampling, out)
     return out[:count].copy()
 
 
@@ -100,37 +116,31 @@ def find_features(
     valid: Mask,
     ranges: Array,
     origins: Array,
-    spacing: float,
-    thin: float,
+    sampling: Sampling,
     out: Features,
 ) -> int:
     """Fill `out` (n, 5) with the features of n beams; return their number.
 
-    points, origins (n, 2) are each beam's end and start, in one frame; `spacing` is the angle between
-    neighbouring beams.
+    points, origins (n, 2) are each beam's end and start, in one frame.
     """
+    spacing, thin = sampling.spacing, sampling.thin
     beams = np.flatnonzero(valid)
     points, ranges, origins = points[beams], ranges[beams], origins[beams]
-    noise = _noise(points, ranges, origins, spacing)
-    limits = _Limits(
-        spacing,
-        thin,
-        max(MIN_GAP, NOISE_GAP * noise),
-        max(ROUGHNESS, NOISE_ROUGHNESS * noise * noise),
-        min(max(noise, NORMAL_NOISE[0]), NORMAL_NOISE[1]) ** 2,
-    )
+    limits = _Limits(spacing, thin, _noise(points, ranges, origins, spacing))
     connected = _connected(points, beams, ranges, limits)
     count, last, due, near = 0, -1, 0, 0.0
     for i in range(len(points)):
         x, y = points[i, 0], points[i, 1]
         if beams[i] < due and math.hypot(points[last, 0] - x, points[last, 1] - y) < near:
             continue
-        nx, ny, weight = _normal(points, connected, ranges, origins, limits, i)
+        nx, ny, weight, off = _normal(points, connected, ranges, origins, limits, i)
         dx, dy = origins[i, 0] - x, origins[i, 1] - y
         skipped = _skipped_beams(math.hypot(dx, dy), nx * dx + ny * dy, spacing, thin)
-        last, due, near = i, beams[i] + skipped, thin + limits.gap
+        last, due, near = i, beams[i] + skipped, thin + _gap(ranges[i], limits)
         if skipped == 0:
             due, near = len(valid), thin
+        if sampling.smooth:
+            x, y = x + off * nx, y + off * ny
         out[count, 0], out[count, 1] = x, y
         out[count, 2], out[count, 3], out[count, 4] = nx, ny, weight
         count += 1
@@ -176,14 +186,15 @@ def _single(
 
 
 @kernel
-def _noise(points: Array, ranges: Array, origins: Array, spacing: float) -> float:
-    """Return the standard deviation of the ranges of a scan, m; 0 of too few surfaces.
+def _noise(points: Array, ranges: Array, origins: Array, spacing: float) -> tuple[float, float]:
+    """Return the variance of the ranges of a scan, m^2, and its increase with the squared range.
 
-    It is the median distance, along the beam, of a point from the line through its two neighbours. Two
-    neighbours with the same noise add half of its variance.
+    The error of a range is that of a point, along its beam, from the line through its two neighbours; with
+    the same noise, they add half of its variance. The medians of the nearer and the farther half of the
+    points tell how it increases: by time of flight, hardly; by triangulation, as in depth cameras, it does.
     """
     step = max(1, len(points) // NOISE_SAMPLES)
-    off, count = np.empty(len(points) // step + 1), 0
+    off, at, count = np.empty(len(points) // step + 1), np.empty(len(points) // step + 1), 0
     for i in range(1, len(points) - 1, step):
         ux, uy = points[i + 1, 0] - points[i - 1, 0], points[i + 1, 1] - points[i - 1, 1]
         dx, dy = points[i, 0] - origins[i, 0], points[i, 1] - origins[i, 1]
@@ -192,11 +203,38 @@ def _noise(points: Array, ranges: Array, origins: Array, spacing: float) -> floa
         if chord > max(2.0 * MIN_GAP, GAP_BEAMS * ranges[i] * spacing) or cosine < MIN_NOISE_COSINE:
             continue
         ex, ey = points[i, 0] - points[i - 1, 0], points[i, 1] - points[i - 1, 1]
-        off[count] = abs(ex * uy - ey * ux) / (chord * cosine)
+        off[count], at[count] = abs(ex * uy - ey * ux) / (chord * cosine), ranges[i]
         count += 1
     if count < MIN_NOISE_SAMPLES:
-        return 0.0
-    return float(np.median(off[:count]) / (0.6745 * math.sqrt(1.5)))
+        return 0.0, 0.0
+    off, at = off[:count], at[:count]
+    near = at < np.median(at)
+    if near.sum() >= MIN_NOISE_SAMPLES:
+        first, second = _variance_of(off[near]), _variance_of(off[~near])
+        if second > first * (1.0 + NOISE_GROWTH / math.sqrt(near.sum())):
+            low, high = float((at[near] ** 2).mean()), float((at[~near] ** 2).mean())
+            # The variance at the lidar is 0 or more.
+            growth = min((second - first) / (high - low), first / low)
+            return first - growth * low, growth
+    return _variance_of(off), 0.0
+
+
+@kernel
+def _variance_of(off: Array) -> float:
+    """Return the variance of a range by the distances of points from lines through neighbours."""
+    return float(np.median(off) ** 2 / (0.6745**2 * 1.5))
+
+
+@kernel
+def _variance_at(distance: float, limits: _Limits) -> float:
+    """Return the variance of a range, m^2."""
+    return limits.noise[0] + limits.noise[1] * distance * distance
+
+
+@kernel
+def _gap(distance: float, limits: _Limits) -> float:
+    """Return the minimum distance of two surfaces at a range, m."""
+    return max(MIN_GAP, NOISE_GAP * math.sqrt(_variance_at(distance, limits)))
 
 
 @kernel
@@ -207,22 +245,28 @@ def _normal(
     origins: Array,
     limits: _Limits,
     i: int,
-) -> tuple[float, float, float]:
-    """Return the normal at point i and its weight: the minor axis of its neighbours' scatter."""
-    spacing = limits.spacing
+) -> tuple[float, float, float, float]:
+    """Return the normal at point i, its weight, and how far along it the surface is, m.
+
+    The normal is the minor axis of the scatter of its neighbours; the surface goes through their mean. The
+    noise of the point remains in the distance if the scatter is more than noise.
+    """
+    spacing, variance = limits.spacing, _variance_at(ranges[i], limits)
     stride = max(1, int(NORMAL_RADIUS / (MAX_NEIGHBOURS * max(ranges[i] * spacing, 1e-3))))
     for reach in (stride, 1):
-        n, at_end, xx, xy, yy = _scatter(points, connected, reach, limits.thin, i)
+        n, at_end, mx, my, xx, xy, yy = _scatter(points, connected, reach, limits.thin, i)
         if n < 3.0:
-            return _single(points, ranges, origins, spacing, i)
+            nx, ny, weight = _single(points, ranges, origins, spacing, i)
+            return nx, ny, weight, 0.0
         mean, difference = 0.5 * (xx + yy), 0.5 * (xx - yy)
         half = math.sqrt(difference * difference + xy * xy)
-        flat = mean - half < FLATNESS * (mean + half) + limits.roughness
+        roughness = max(ROUGHNESS, NOISE_ROUGHNESS * variance)
+        flat = mean - half < FLATNESS * (mean + half) + roughness
         if flat:  # else the surface may end near by
             break
     x, y = points[i, 0], points[i, 1]
     if not flat or half == 0.0:
-        return 0.0, 0.0, 0.0
+        return 0.0, 0.0, 0.0, 0.0
     # The eigenvector of the smaller eigenvalue; of its two forms, the one that does not cancel.
     nx, ny = (-xy, half + difference) if difference > 0.0 else (difference - half, xy)
     length = math.sqrt(nx * nx + ny * ny)
@@ -232,10 +276,12 @@ def _normal(
         nx, ny, towards = -nx, -ny, -towards
     max_sigma = MAX_END_SIGMA if at_end else MAX_NORMAL_SIGMA
     spread = n * 2.0 * half  # the noise adds to both eigenvalues
-    is_known = limits.variance < max_sigma * max_sigma * spread
+    bounded = min(max(variance, NORMAL_NOISE[0] ** 2), NORMAL_NOISE[1] ** 2)
+    is_known = bounded < max_sigma * max_sigma * spread
     if towards <= MIN_INCIDENCE or not is_known:
-        return nx, ny, 0.0
-    return nx, ny, 0.5 if at_end else 1.0
+        return nx, ny, 0.0, 0.0
+    noise = min(variance / max(mean - half, 1e-12), 1.0)  # its share of the scatter
+    return nx, ny, 0.5 if at_end else 1.0, noise * (nx * mx + ny * my)
 
 
 @kernel
@@ -247,7 +293,7 @@ def _connected(points: Array, beams: Ints, ranges: Array, limits: _Limits) -> Ma
     out = np.zeros(len(points), np.bool_)
     for i in range(len(points) - 1):
         j = i + 1
-        gap = limits.gap
+        gap = _gap(min(ranges[i], ranges[j]), limits)
         if beams[j] - beams[i] <= MAX_LOST + 1:
             gap = max(gap, min(GAP_BEAMS * min(ranges[i], ranges[j]) * limits.spacing, MAX_GAP))
         dx, dy = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1]
@@ -258,13 +304,13 @@ def _connected(points: Array, beams: Ints, ranges: Array, limits: _Limits) -> Ma
 @kernel
 def _scatter(
     points: Array, connected: Mask, stride: int, thin: float, i: int
-) -> tuple[float, int, float, float, float]:
+) -> tuple[float, int, float, float, float, float, float]:
     """Return the scatter of point i and its neighbours on the same surface.
 
     Beyond the nearest ones, only every `stride`-th counts.
 
-    The values are the number of points, that of sides on which the surface ends within `thin` m, and the
-    variances xx, xy, yy.
+    The values are the number of points, that of sides on which the surface ends within `thin` m, the mean
+    x, y from point i, and the variances xx, xy, yy.
     `connected` (n,) is whether a point and the next one are on one surface.
     """
     x, y = points[i, 0], points[i, 1]
@@ -286,7 +332,8 @@ def _scatter(
                 break
             n, sx, sy = n + 1.0, sx + dx, sy + dy
             xx, xy, yy = xx + dx * dx, xy + dx * dy, yy + dy * dy
-    return n, at_end, xx / n - (sx / n) ** 2, xy / n - sx * sy / n**2, yy / n - (sy / n) ** 2
+    mx, my = sx / n, sy / n
+    return n, at_end, mx, my, xx / n - mx * mx, xy / n - mx * my, yy / n - my * my
 
 
 @kernel

@@ -8,7 +8,7 @@ import numpy as np
 
 from impslam.columns import Scans
 from impslam.geometry.kernels import kernel, plain
-from impslam.surfaces.features import Features, find_features
+from impslam.surfaces.features import Features, Sampling, find_features
 from impslam.types import Array, Mask
 
 
@@ -59,9 +59,9 @@ def beam_columns(scans: Scans | None, m: int) -> BeamColumns:
 
 
 @kernel
-def find_beam_features(beams: BeamColumns, k: int, thin: float, out: Features) -> int:
-    """Fill `out` with the features of sweep k, at least `thin` m apart; return their number."""
-    spacing = abs(beams.geometry.spacing)
+def find_beam_features(beams: BeamColumns, k: int, thin: float, smooth: bool, out: Features) -> int:
+    """Fill `out` with the features of sweep k; return their number. See `Sampling`."""
+    sampling = Sampling(abs(beams.geometry.spacing), thin, smooth)
     return find_features(
-        beams.points[k], beams.valid[k], beams.ranges[k], beams.origins[k], spacing, thin, out
+        beams.points[k], beams.valid[k], beams.ranges[k], beams.origins[k], sampling, out
     )

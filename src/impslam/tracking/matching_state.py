@@ -25,6 +25,7 @@ class Settings(NamedTuple):
     spacing: float
     turn: float
     thin: float
+    smooth: bool
     drift: Array
 
 

@@ -185,7 +185,7 @@ def _check(
         if not _due(history, pending):
             out[k], amounts[k] = newest_offset(pending.offsets)
             continue
-        count = find_beam_features(beams, k, SPACING, features)
+        count = find_beam_features(beams, k, SPACING, False, features)
         count = leave_out_oblique(features[:count])
         motion, wide = pending.pose.copy(), _widened(pending.covariance, pending.clock[0])
         if _match(motion, wide, features[:count], pending, submaps, matching):

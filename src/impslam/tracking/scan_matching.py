@@ -203,7 +203,7 @@ def _find_features(
     beams: BeamColumns, k: int, no_odometry: bool, settings: Settings, out: Features
 ) -> int:
     """Fill `out` with the features of sweep k to match; return their number."""
-    count = find_beam_features(beams, k, settings.thin, out)
+    count = find_beam_features(beams, k, settings.thin, settings.smooth, out)
     if no_odometry:
         count = leave_out_oblique(out[:count])
     return count

@@ -63,6 +63,9 @@ class ScanToMap(Tracker):
     spacing: float = parameter(0.4, "m", "a scan is added to the submaps after this distance", gt=0)
     turn: float = parameter(0.4, "rad", "or after this turn", gt=0)
     thin: float = parameter(0.04, "m", "points nearer to each other are merged", ge=0)
+    smooth: bool = parameter(
+        True, "", "points are moved onto their surfaces, as far as they scatter by noise"
+    )
     drift: MotionNoise = parameter(
         MotionNoise(forward=0.01, sideways=0.01, turn_per_distance=0.005, turn_per_turn=0.01),
         "",
@@ -116,6 +119,7 @@ class ScanToMap(Tracker):
             self.spacing,
             self.turn,
             self.thin,
+            self.smooth,
             np.array([d.forward, d.sideways, d.turn_per_distance, d.turn_per_turn]),
         )
 

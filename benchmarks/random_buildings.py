@@ -300,6 +300,8 @@ def drive(seed: int, lidars: dict[str, Lidar] = LIDARS, lost: float | None = Non
 def _calibration(live: Live, states: dict[float, int], truth: Array) -> tuple[int, int]:
     """Return the number of live poses that are TRACKING, and of those inside their 99 % ellipse."""
     rows = [row for row in live.rows if states.get(float(row[0])) == TRACKING]
+    if not rows:
+        return 0, 0
     stamps, poses, covariances = (np.array(column) for column in zip(*rows, strict=True))
     at = np.searchsorted(truth[:, 0], stamps - 1e-9)
     first = np.searchsorted(truth[:, 0], float(live.rows[0][0]) - 1e-9)

@@ -155,6 +155,11 @@ class Health(NamedTuple):
         """Return the number of scans in each state."""
         return dict(zip(STATES, np.bincount(self.states, minlength=3).tolist(), strict=True))
 
+    @property
+    def needs_inspection(self) -> bool:
+        """Whether a mount, a clock or a scale seems wrong: `imp inspect` measures them."""
+        return bool(np.isin(self.reasons, (MISALIGNED, MISSCALED, MISTIMED)).any())
+
     def spans(self) -> Iterator[Span]:
         """Yield the spans of scans that cannot be trusted, in order."""
         edges = np.flatnonzero(np.diff(self.reasons, prepend=-1, append=-1))

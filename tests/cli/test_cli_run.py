@@ -77,6 +77,17 @@ def test_output_of_loops_and_of_a_run_without_odometry(imp, room, tmp_path) -> N
     assert ">Loops<" in report
 
 
+@pytest.mark.usefixtures("undiagnosed")
+@pytest.mark.parametrize(("yaw", "is_told"), [(0.0, False), (0.2, True)])
+def test_a_wrong_mount_is_told_with_the_command_that_measures_it(
+    imp, room, tmp_path, yaw, is_told
+) -> None:
+    turned = "--set", f"sensors.lidar.mount=[0.15,0,{yaw}]", "--set", "tracker.kind=scan_to_map"
+    said = imp("run", room, "-o", tmp_path, *turned)
+    assert said.code == 0, said.err
+    assert (f"fix: imp inspect {room}" in said.out) == is_told
+
+
 def test_quiet(imp, room, tmp_path) -> None:
     assert imp("run", room, "-o", tmp_path, "--quiet").out == ""
 

@@ -80,6 +80,16 @@ def test_equal_counts_are_settled_by_name(tmp_path: Path) -> None:
     assert [m.stamp for m in read(path)[0]] == [2.5]
 
 
+@pytest.mark.parametrize(("filtered", "expected"), [(2, "/scan"), (3, "/a")])
+def test_the_topic_scan_is_preferred_unless_it_has_few_messages(
+    tmp_path: Path, filtered: int, expected: str
+) -> None:
+    others = [("/a", scan(ROS2, 2.5 + k)) for k in range(filtered)]
+    path = bag(tmp_path / "b", ("/scan", scan(ROS2)), *others)
+    with RosBag(path=path) as source:
+        assert [one.name for one in source.streams() if one.used] == [expected]
+
+
 def test_odometry_may_be_assigned_to_the_truth(tmp_path: Path) -> None:
     path = bag(tmp_path / "b", ("/odom", odometry(ROS2)))
     assert [type(m) for m in read(path)[0]] == [OdometryPose]

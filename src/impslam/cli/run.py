@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -230,4 +231,9 @@ def show_result(known: Map, outcome: Outcome, folder: Path, *, with_speed: bool 
     for kind, dropped in outcome.dropped.items():
         console.show_problem(kind, dropped.count, dropped.example)
     console.echo(f"pose: {outcome.health.summary}")
+    if outcome.health.needs_inspection:
+        console.echo(
+            f"fix: imp inspect {shlex.quote(str(outcome.log))} measures mounts, clocks and scales, and prints "
+            "the settings that correct them"
+        )
     console.echo(f"report: {folder / 'report.html'}")

@@ -89,8 +89,9 @@ def choose(
     """Return what each topic is used for: the requested topics, then the best for each other use.
 
     The best one has the first type in `TYPES`, then the most messages; for odometry, topics in the same
-    namespace as the scans and those named odom (REP 105) are preferred. Scans in `merged` come last: their
-    beams are from several lidars, at times that are lost.
+    namespace as the scans and those named odom (REP 105) are preferred. Topics named scan are preferred to
+    those with up to twice the messages: nodes that filter scans publish them under other names. Scans in
+    `merged` come last: their beams are from several lidars, at times that are lost.
     """
     uses: dict[str, Use] = {}
     for use, topic in requested.items():
@@ -106,8 +107,9 @@ def choose(
             for (t, k), n in counts.items()
             if k in kinds and n and k not in POSE_TYPES
         ]
+        most = max((n for _, _, n in free), default=0)
         fit = [
-            (kind, topic in merged, use == "odometry" and _unlikely(topic, scan), -n, topic)
+            (kind, topic in merged, _unlikely(use, topic, scan, 2 * n >= most), -n, topic)
             for kind, topic, n in free
             if topic not in uses and is_truth(topic) == (use == "truth")
         ]
@@ -116,9 +118,15 @@ def choose(
     return uses
 
 
-def _unlikely(topic: str, scan: str) -> tuple[bool, bool]:
-    """Return whether an odometry topic is in another namespace than the scans, and not named odom."""
-    return _namespace(topic) != _namespace(scan), topic.rsplit("/", 1)[-1] != "odom"
+def _unlikely(use: Use, topic: str, scan: str, is_frequent: bool) -> tuple[bool, bool]:
+    """Return whether an odometry topic is in another namespace than the scans, and whether a topic of scans
+    or odometry does not have the usual name."""
+    name = topic.rsplit("/", 1)[-1]
+    if use == "scan":
+        return False, not (name == "scan" and is_frequent)
+    if use == "odometry":
+        return _namespace(topic) != _namespace(scan), name != "odom"
+    return False, False
 
 
 def _namespace(topic: str) -> str:

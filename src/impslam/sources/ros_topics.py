@@ -119,8 +119,7 @@ def choose(
 
 
 def _unlikely(use: Use, topic: str, scan: str, is_frequent: bool) -> tuple[bool, bool]:
-    """Return whether an odometry topic is in another namespace than the scans, and whether a topic of scans
-    or odometry does not have the usual name."""
+    """Return whether odometry is in another namespace than the scans, and either has an unusual name."""
     name = topic.rsplit("/", 1)[-1]
     if use == "scan":
         return False, not (name == "scan" and is_frequent)

@@ -16,6 +16,7 @@ from tests.sources.logs import read
 from impslam.errors import ImpError, SourceError
 from impslam.sources import live_recording
 from impslam.sources.live_recording import LiveMcapWriter, is_being_written
+from impslam.sources.mcap_reader import MAGIC
 from impslam.types import Climate, Event, LaserScan, WheelAngles
 
 SYNCS, EACH = 5, 8  # chunks of a log, and wheel readings in each
@@ -150,6 +151,16 @@ def test_data_after_the_last_sync_are_left_out(
     synced = sum(end <= where for end in ends)
     kept = numbers(path)
     assert kept[: EACH * synced] == list(range(EACH * synced))
+
+
+@pytest.mark.parametrize("footer", [b"", b"\2\x14" + bytes(7) + b"\xff" * 8 + bytes(12)])
+def test_data_that_end_like_a_complete_file_are_left_out(
+    killed: tuple[bytes, list[int]], tmp_path: Path, footer: bytes
+) -> None:
+    """With the magic, and with a footer whose summary is nowhere."""
+    content, ends = killed
+    torn = content[: ends[2] + 100] + footer + MAGIC
+    assert_whole_chunks(tmp_path / "b.mcap", torn, ends[2] + 100, ends)
 
 
 def test_a_flipped_bit_is_never_taken_for_data(

@@ -28,7 +28,7 @@ from impslam.sources.csv_columns import (
 from impslam.sources.csv_rows import odometry, odometry_kind, scan, stamp_of, unit_of
 from impslam.sources.csv_text import (
     MIN_COLUMNS,
-    is_spaced,
+    SPACE,
     names,
     numbers,
     opening,
@@ -76,18 +76,22 @@ class CsvLog(TextSource):
     @classmethod
     def recognises(cls, path: Path) -> bool:
         """Recognise the format by two lines with equal numbers of cells, and numbers in the second."""
-        widths = opening(path).widths
-        return widths is not None and widths[0] == widths[1]
+        found = opening(path)
+        widths = found.widths
+        is_named = found.has_header or found.mark != SPACE  # many formats are numbers with spaces
+        return is_named and widths is not None and widths[0] == widths[1]
 
     @classmethod
     def explain_refusal(cls, path: Path) -> str:
-        """Say that a file is UTF-16, has spaces between cells, or lines of different length."""
+        """Say that a file is UTF-16, lacks names of columns, or has lines of different length."""
         if path.is_file() and _starts_with_utf16(path):
             return "it is text in UTF-16; save it as UTF-8"
-        widths = opening(path).widths
+        found = opening(path)
+        widths = found.widths
         if widths is None or min(widths) < MIN_COLUMNS:
-            is_table = is_spaced(path)
-            return "for a CSV log, write commas, not spaces, between numbers" if is_table else ""
+            return ""
+        if found.mark == SPACE and not found.has_header:
+            return "for a CSV log with spaces between numbers, name the columns in its first line"
         return (
             f"for a CSV log, its first line has {widths[0]} cells and its second {widths[1]}; "
             "write every line with as many, and leave those without a value empty"

@@ -1,8 +1,8 @@
 """The text of a CSV file: what separates its cells, where its rows begin, and cells as numbers.
 
-Spreadsheets of many countries write semicolons between cells and decimal commas. Quotes around a cell may
-enclose what separates cells (RFC 4180). A cell may be a list, as all ranges of a scan in what Python
-programs write of ROS messages; it is read as a cell for each number.
+Spreadsheets of many countries write semicolons between cells and decimal commas; numpy.savetxt writes
+spaces. Quotes around a cell may enclose what separates cells (RFC 4180). A cell may be a list, as all
+ranges of a scan in what Python programs write of ROS messages; it is read as a cell for each number.
 """
 
 from __future__ import annotations
@@ -19,10 +19,12 @@ from impslam.errors import MessageError
 from impslam.sources.text import head
 from impslam.types import Array
 
-SEPARATORS = (b",", b";", b"\t", b"|")
+SPACE = b" "  # or several, or tabs
+SEPARATORS = (b",", b";", b"\t", b"|", SPACE)
 BOM = b"\xef\xbb\xbf"
 MAX_OPENING = 50  # lines in which the header and two rows are looked for, more than any preamble
 MIN_COLUMNS = 4  # a stamp and three ranges
+_COMMENT = b"#% "
 _ENCLOSED = b"\0"  # stands for what separates cells, but within quotes; no text has it
 
 
@@ -59,6 +61,8 @@ def opening(path: Path) -> Opening:
     if not found:
         return Opening([], [], False, 1, b",")
     mark = _separator([lines[k] for k in found[:2]])
+    if mark == SPACE:
+        lines = [line.lstrip(_COMMENT) for line in lines]
     rows = [split(line, mark) for line in lines]
     if _is_row(rows[found[0]]):  # the header may be one of the comments
         width = len(rows[found[0]])
@@ -68,12 +72,6 @@ def opening(path: Path) -> Opening:
     if has_header:
         first = _names([_cells(lines[k], mark) for k in found[:2]])
     return Opening(first, second, has_header, found[0] + 1 + has_header, mark)
-
-
-def is_spaced(path: Path) -> bool:
-    """Return whether the first lines of a file are tables with spaces between numbers."""
-    lines = [line.split() for line in head(path)[:MAX_OPENING] if line.strip()]
-    return any(len(cells) >= MIN_COLUMNS and all(map(_is_cell, cells)) for cells in lines[:2])
 
 
 def trim(line: bytes) -> bytes:
@@ -101,13 +99,14 @@ def _unlisted(cell: bytes, mark: bytes) -> list[bytes]:
 
 def _cells(text: bytes, mark: bytes) -> list[bytes]:
     """Return the cells of a line without quotes."""
+    at = None if mark == SPACE else mark
     if b'"' not in text:
-        return text.split(mark)
+        return text.split(at)
     parts = text.split(b'"')
     if mark not in b"".join(parts[1::2]):
-        return b"".join(parts).split(mark)
+        return b"".join(parts).split(at)
     parts[1::2] = [part.replace(mark, _ENCLOSED) for part in parts[1::2]]
-    return [cell.replace(_ENCLOSED, mark) for cell in b"".join(parts).split(mark)]
+    return [cell.replace(_ENCLOSED, mark) for cell in b"".join(parts).split(at)]
 
 
 def _names(lines: Sequence[list[bytes]]) -> list[bytes]:
@@ -135,7 +134,7 @@ def _separator(lines: Sequence[bytes]) -> bytes:
 def names(cells: Sequence[bytes]) -> list[str]:
     """Return the cells of a header, without the sign of a comment."""
     found = [cell.decode("utf-8", "replace").strip(" \t") for cell in cells]
-    return [found[0].lstrip("#% "), *found[1:]] if found else []
+    return [found[0].lstrip(_COMMENT.decode()), *found[1:]] if found else []
 
 
 def _is_row(cells: Sequence[bytes]) -> bool:

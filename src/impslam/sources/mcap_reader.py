@@ -14,6 +14,8 @@ from impslam.sources.unpack import UNIT_LIMIT, check_size, check_together, unpac
 _ENCODINGS = {"ros2msg", "ros2idl", "omgidl", ""}
 """Languages of the definitions of ROS 2 messages."""
 MAGIC = b"\x89MCAP0\r\n"
+_ENDS = ("end magic", "footer", "summary offset")
+"""Words in the errors of rosbags about the end of a file; arbitrary data may end in the magic by chance."""
 _PROFILE = 17
 """Offset of the profile: behind the magic, an opcode and the length of its record."""
 
@@ -87,10 +89,11 @@ class CutMcapReader(McapReader):
         try:
             super()._open()
         except ReaderError as error:
-            if "end magic" not in str(error):
+            self.is_cut = any(part in str(error) for part in _ENDS)
+            if not self.is_cut:
                 self._accept_no_profile(error)
-            self.bio.seek(-len(MAGIC), 2)
-            self.is_cut = self.bio.read() != MAGIC
+                self.bio.seek(-len(MAGIC), 2)
+                self.is_cut = self.bio.read() != MAGIC
             self._scan()
         spans = [
             (chunk.message_start_time, chunk.message_end_time, chunk.uncompressed_size)

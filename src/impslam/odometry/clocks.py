@@ -48,6 +48,8 @@ DISTRUST, TRUST = 0.6, 0.2
 Half of the rows of a CARMEN log contradict if one kind of line has no stamps."""
 MAX_SET = 2
 """Times that a clock is set; after that, a jump is a wrong stamp unless the next stamp continues it."""
+MIN_PACE = 0.5
+"""Least advance of a stream whose clock was set, relative to that of the others in the same rows."""
 MAX_AHEAD = 60.0
 """s by which a stream that is no longer believed may leave the time of the others behind."""
 MAX_UNTIMED = 0.1
@@ -71,6 +73,9 @@ _ROWS = 9  # that were judged
 _BAD, _SHARE = 10, 11  # number and mean share of the rows that contradict the order
 _HOW = 12  # how the newest row is used
 _DISTRUSTED = 13  # whether all rows are used by order
+_AFTER = 14  # stamp of its first row after another stream jumped ahead, or NaN
+_JUMPER = 15  # stamp of that stream then
+_WIDTH = 16
 
 # What all streams share; times in s.
 _FIRST, _NOW = 0, 1  # the first and the newest time
@@ -125,7 +130,7 @@ class Clocks:
     """Brings the stamps of all streams onto a common time line."""
 
     def __init__(self) -> None:
-        self._streams = np.zeros((0, 14))
+        self._streams = np.zeros((0, _WIDTH))
         self._all = np.array([np.inf, -np.inf, *np.zeros(7), np.nan, np.nan])
 
     @property
@@ -148,7 +153,7 @@ class Clocks:
         """
         m, known = len(stamps), len(self._streams)
         new = max(int(streams.max(initial=-1)) + 1 - known, 0)
-        self._streams = np.vstack((self._streams, np.zeros((new, 14))))
+        self._streams = np.vstack((self._streams, np.zeros((new, _WIDTH))))
         placed, steps = (
             PlacedRows(np.empty(m), np.empty(m), np.empty(m, np.int64)),
             np.empty((m, 4)),
@@ -170,7 +175,7 @@ def _place(
 ) -> int:
     """Write the place of each row, and the steps; return the number of steps.
 
-    `state` is the table (known or more, 14) of the streams, and what they share (11,); a row k of m is of
+    `state` is the table (known or more, 16) of the streams, and what they share (11,); a row k of m is of
     stream `streams[k]` at `stamps[k]`. Rows of `steps` (m, 4) are those of `Step`.
     """
     table, shared = state
@@ -294,7 +299,7 @@ def _follow(table: Array, shared: Array, stream_index: int, stamp: float, entry:
         stream[_JUMPED] = shared[_JUMP] = 0.0
     if jumps:
         return _set(table, shared, stream_index, stamp, (expected, fitting), entry)
-    if stream[_JUMPED] != 0.0 and shared[_JUMP_BEFORE] < stamp + stream[_SHIFT]:
+    if stream[_JUMPED] != 0.0 and _shows_step(table, shared, stream, stamp):
         entry[0], entry[1], entry[2] = shared[_JUMP_STREAM], stream[_JUMPED], shared[_JUMP_STAMP]
         stream[_SHIFT] += stream[_JUMPED]
         stream[_JUMPED] = 0.0
@@ -303,6 +308,21 @@ def _follow(table: Array, shared: Array, stream_index: int, stamp: float, entry:
     if step > 0.0 and not was_by_order:
         stream[_PERIOD] += (0.1 if stream[_PERIOD] else 1.0) * (step - stream[_PERIOD])
     return 0
+
+
+@kernel
+def _shows_step(table: Array, shared: Array, stream: Array, stamp: float) -> bool:
+    """Return whether a stream that did not jump ahead shows that the one that did was set.
+
+    It then continues beyond the time before the jump, and both advance equally. Rows that a network held up
+    and then delivers at once advance faster than the others, until they are no longer late.
+    """
+    jumper = table[int(shared[_JUMP_STREAM]), _STAMP]
+    if np.isnan(stream[_AFTER]):
+        stream[_AFTER], stream[_JUMPER] = stamp, jumper
+    own, other = stamp - stream[_AFTER], jumper - stream[_JUMPER]
+    is_later = shared[_JUMP_BEFORE] < stamp + stream[_SHIFT]
+    return bool(is_later and other > 0.0 and other >= MIN_PACE * own)
 
 
 @kernel
@@ -404,6 +424,7 @@ def _advance(table: Array, shared: Array, stream_index: int, stamp: float) -> No
         for i in range(len(table)):
             if i != stream_index:
                 table[i, _JUMPED] += jump
+                table[i, _AFTER] = np.nan
     if time >= shared[_FIRST] - JITTER or shared[_FIRST] == np.inf:  # else by another clock
         shared[_FIRST] = min(shared[_FIRST], time)
     shared[_NOW] = max(shared[_NOW], time)

@@ -314,15 +314,17 @@ def _follow(table: Array, shared: Array, stream_index: int, stamp: float, entry:
 def _shows_step(table: Array, shared: Array, stream: Array, stamp: float) -> bool:
     """Return whether a stream that did not jump ahead shows that the one that did was set.
 
-    It then continues beyond the time before the jump, and both advance equally. Rows that a network held up
-    and then delivers at once advance faster than the others, until they are no longer late.
+    It then continues beyond the time before the jump. A stream that was late before must also advance at
+    the pace of the other: rows that a network held up come faster, until they are no longer late.
     """
-    jumper = table[int(shared[_JUMP_STREAM]), _STAMP]
+    jumper, before = table[int(shared[_JUMP_STREAM]), _STAMP], shared[_JUMP_BEFORE]
     if np.isnan(stream[_AFTER]):
         stream[_AFTER], stream[_JUMPER] = stamp, jumper
+    if stamp + stream[_SHIFT] <= before:
+        return False
     own, other = stamp - stream[_AFTER], jumper - stream[_JUMPER]
-    is_later = shared[_JUMP_BEFORE] < stamp + stream[_SHIFT]
-    return bool(is_later and other > 0.0 and other >= MIN_PACE * own)
+    was_late = stream[_AFTER] + stream[_SHIFT] < before - JITTER
+    return not was_late or bool(other > 0.0 and other >= MIN_PACE * own)
 
 
 @kernel

@@ -22,6 +22,7 @@ from impslam.estimators.loop_closing import (
     _relation,
 )
 from impslam.estimators.pose_graph import PoseGraph
+from impslam.estimators.session_finder import Guess
 from impslam.estimators.sessions import (
     MIN_CLOSURES,
     MIN_SEARCH_DISTANCE,
@@ -469,3 +470,17 @@ def test_a_frozen_map_stays_and_the_drive_through_it_does_not_drift(lap):
     off = np.hypot(*(there.keyframes.poses[n:] - known.keyframes.poses[at])[:, :2].T)
     assert off.max() < 0.1
     assert made.landmarks() is known.landmarks
+
+
+def test_a_map_is_searched_less_often_for_a_session_that_is_not_found_until_a_place_is_likely():
+    searched = []
+
+    def find(node, _keys, _graph):
+        searched.append(node)
+        return Guess(np.zeros(3), likely=node == 60, hinted=False)
+
+    placer = SessionPlacer(SimpleNamespace())
+    placer._finder = SimpleNamespace(find=find)
+    for node in range(1, 71):
+        placer._search(node, None, None)
+    assert searched == [*range(1, 21), *range(24, 60, 4), *range(60, 71)]

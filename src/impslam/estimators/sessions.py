@@ -25,7 +25,7 @@ from impslam.estimators.loop_closing import (
     closures_agree,
 )
 from impslam.estimators.pose_graph import PoseGraph
-from impslam.estimators.session_finder import SessionFinder
+from impslam.estimators.session_finder import Guess, SessionFinder
 from impslam.geometry.covariances import inverse_of
 from impslam.geometry.se2 import between, compose
 from impslam.recognition.beams import MAX_MISFIT
@@ -41,6 +41,9 @@ BREAK_DRIFT = 0.3
 """m/m and rad of drift after a break: scans are matched with the first ones of a session, which may show
 little but the crowd that covered the lidar."""
 BREAK_LENGTH = 40.0  # m whose drift is as large: loops are searched for in windows that are so wide
+MAX_FRUITLESS, FRUITLESS_STEP = 20, 4
+"""Nodes (50 m) without a likely place after which the whole map is searched at every fourth node only,
+until a place is likely: in a large map, a search takes seconds."""
 MIN_SEARCH_DISTANCE = 20.0
 """m driven before an unlocated session may be joined by odometry: six times the length of a query."""
 
@@ -66,6 +69,7 @@ class SessionPlacer:
         self._breaks: list[_Break] = []
         self._compared: list[Comparison] = []  # at the places by odometry, since the last break
         self._closures: list[PendingClosure] = []
+        self._fruitless = 0  # nodes of the newest session since a place was likely
         self._assumed: int | None = None
         self._is_contradicted = False  # the map contradicts the place by odometry
 
@@ -92,6 +96,7 @@ class SessionPlacer:
         `motion` is odometry's from the node before, (3,) with its covariance (3, 3), if there is any.
         """
         self._compared, self._closures, self._is_contradicted = [], [], False
+        self._fruitless = 0
         if motion is not None:
             self._breaks.append(_Break(node, *motion))
 
@@ -135,7 +140,7 @@ class SessionPlacer:
         A place elsewhere, or a likely one that cannot be verified, starts the count again. In an area that
         a user gave, one closure is enough.
         """
-        guess = self._finder.find(node, keys, graph)
+        guess = self._search(node, keys, graph)
         comparison = self._compare_odometry(node, keys, graph)
         expected = None if self._is_vague else _distinct_closure(comparison)
         if guess is not None and expected is not None:
@@ -158,6 +163,16 @@ class SessionPlacer:
         if self._is_refuted(node, keys, graph):
             self._closures = []
         return bool(self._closures)
+
+    def _search(self, node: int, keys: KeyframeLog, graph: PoseGraph) -> Guess | None:
+        """Search the whole map for a node, unless many searches have been fruitless."""
+        self._fruitless += 1
+        if self._fruitless > MAX_FRUITLESS and self._fruitless % FRUITLESS_STEP:
+            return None
+        guess = self._finder.find(node, keys, graph)
+        if guess is not None and guess.likely:
+            self._fruitless = 0
+        return guess
 
     def _is_refuted(self, node: int, keys: KeyframeLog, graph: PoseGraph) -> bool:
         """Return whether the drive so far does not fit the map at the place of the newest closure.

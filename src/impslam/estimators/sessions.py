@@ -165,7 +165,7 @@ class SessionPlacer:
         return bool(self._closures)
 
     def _search(self, node: int, keys: KeyframeLog, graph: PoseGraph) -> Guess | None:
-        """Search the whole map for a node, unless many searches have been fruitless."""
+        """Search the whole map for a node; see `MAX_FRUITLESS` for the nodes that are left out."""
         self._fruitless += 1
         if self._fruitless > MAX_FRUITLESS and self._fruitless % FRUITLESS_STEP:
             return None

@@ -315,7 +315,8 @@ def _shows_step(table: Array, shared: Array, stream: Array, stamp: float) -> boo
     """Return whether a stream that did not jump ahead shows that the one that did was set.
 
     It then continues beyond the time before the jump. A stream that was late before must also advance at
-    the pace of the other: rows that a network held up come faster, until they are no longer late.
+    the pace of the other: rows that a network held up come faster, until they are no longer late. The
+    stamps of both at the first row after the jump are kept for that.
     """
     jumper, before = table[int(shared[_JUMP_STREAM]), _STAMP], shared[_JUMP_BEFORE]
     if np.isnan(stream[_AFTER]):

@@ -50,7 +50,10 @@ class Submap(NamedTuple):
 
 
 def view(scan: Scan) -> View:
-    """Return the view of a scan, with features at least `FEATURE_SPACING` apart."""
+    """Return the view of a scan, with features at least `FEATURE_SPACING` apart.
+
+    They are measured points: smoothed ones fit places that look alike too well.
+    """
     free = free_ranges(scan.points[scan.valid], scan.laser[:2], beam_spacing(scan.angles))
     return View(features(scan, FEATURE_SPACING, smooth=False), scan.laser[:2].copy(), free)
 

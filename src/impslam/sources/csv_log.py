@@ -28,7 +28,6 @@ from impslam.sources.csv_columns import (
 from impslam.sources.csv_rows import odometry, odometry_kind, scan, stamp_of, unit_of
 from impslam.sources.csv_text import (
     MIN_COLUMNS,
-    SPACE,
     names,
     numbers,
     opening,
@@ -78,8 +77,7 @@ class CsvLog(TextSource):
         """Recognise the format by two lines with equal numbers of cells, and numbers in the second."""
         found = opening(path)
         widths = found.widths
-        is_named = found.has_header or found.mark != SPACE  # many formats are numbers with spaces
-        return is_named and widths is not None and widths[0] == widths[1]
+        return found.is_csv and widths is not None and widths[0] == widths[1]
 
     @classmethod
     def explain_refusal(cls, path: Path) -> str:
@@ -90,7 +88,7 @@ class CsvLog(TextSource):
         widths = found.widths
         if widths is None or min(widths) < MIN_COLUMNS:
             return ""
-        if found.mark == SPACE and not found.has_header:
+        if not found.is_csv:
             return "for a CSV log with spaces between numbers, name the columns in its first line"
         return (
             f"for a CSV log, its first line has {widths[0]} cells and its second {widths[1]}; "

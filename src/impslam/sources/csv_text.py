@@ -46,6 +46,11 @@ class Opening(NamedTuple):
     mark: bytes
 
     @property
+    def is_csv(self) -> bool:
+        """Whether it can be CSV: numbers with spaces, without a header, are of many other formats."""
+        return self.has_header or self.mark != SPACE
+
+    @property
     def widths(self) -> tuple[int, int] | None:
         """The numbers of cells of both, or None if the second has too few numbers."""
         if any(b"{" in cell for cell in self.first):  # JSON has commas, too

@@ -119,7 +119,10 @@ def choose(
 
 
 def _unlikely(use: Use, topic: str, scan: str, is_frequent: bool) -> tuple[bool, bool]:
-    """Return whether odometry is in another namespace than the scans, and either has an unusual name."""
+    """Return whether a topic is in an unlikely namespace, and whether it has an unlikely name.
+
+    The namespace of odometry is that of the scans. Usual names are scan, if it is frequent, and odom.
+    """
     name = topic.rsplit("/", 1)[-1]
     if use == "scan":
         return False, not (name == "scan" and is_frequent)

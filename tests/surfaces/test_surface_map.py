@@ -10,7 +10,7 @@ from tests.rooms import MOUNTS, features_at
 
 from impslam.geometry.algebra import solve
 from impslam.geometry.se2 import between, compose
-from impslam.surfaces.features import features
+from impslam.surfaces.features import END_WEIGHT, features
 from impslam.surfaces.surface_map import (
     CELL,
     LONE_WEIGHT,
@@ -183,12 +183,13 @@ def residuals(held, pose, facing_at):
         e = pose[:2] + R @ row[:2] - surfel[:2]
         if surfel[5] > 0.0 and row[4] > 0.0:
             beyond = surfel[5] < 1.0 and abs(surfel[2] * e[1] - surfel[3] * e[0]) >= MAX_BEYOND_END
-            if surfel[2:4] @ at @ row[2:4] >= MIN_NORMAL_COSINE and not beyond:
-                out.append((surfel[5] * row[4], np.array([surfel[2:4] @ e])))
+            cosine = surfel[2:4] @ at @ row[2:4]
+            if cosine >= MIN_NORMAL_COSINE and not beyond:
+                agreement = (cosine - MIN_NORMAL_COSINE) / (1.0 - MIN_NORMAL_COSINE)
+                out.append((surfel[5] * row[4] * agreement**2, np.array([surfel[2:4] @ e])))
             continue
-        normals = [
-            n for n, weight in ((at @ row[2:4], row[4]), (surfel[2:4], surfel[5])) if not weight
-        ]
+        both = (at @ row[2:4], row[4]), (surfel[2:4], surfel[5])
+        normals = [n for n, weight in both if weight != END_WEIGHT]
         normal = next((n for n in normals if n.any()), None)  # at grazing incidence
         e = e if normal is None else np.array([normal @ e])
         out.append((LONE_WEIGHT if surfel[5] == row[4] else MIXED_WEIGHT, e))
@@ -357,3 +358,42 @@ def test_runs_are_the_same_to_the_byte():
     first, second = (aligned(map_of((scan, PLACE)), scan, PLACE + 0.05) for _ in range(2))
     assert first[0].tobytes() == second[0].tobytes()
     assert first[2].H.tobytes() == second[2].H.tobytes()
+
+
+ALONG_WALL = 0.02 + 0.04 * np.arange(40)
+FACING = np.float32([0.0, -1.0, 1.0])
+
+
+def wall_with(point):
+    """Return features of a wall along x at y = 1 m, seen from below, one of which is `point` (5,)."""
+    rows = [(x, 1.0, *FACING) for x in ALONG_WALL if abs(x - point[0]) > 1e-3]
+    return np.array([*rows, point], np.float32)
+
+
+def information_along(known, scan):
+    """Return the information (1/m^2, for points of 1 m) along the wall, of the scan where it was taken."""
+    evidence = no_evidence()
+    normal_equations(map_of((known, np.zeros(3))), scan, np.zeros(3), 0.06, 1, evidence)
+    return evidence.H[0, 0]
+
+
+CORNER = (0.82, 1.0, -math.sqrt(0.5), -math.sqrt(0.5), 1.0)
+LONE, END = (0.82, 1.0, 0.0, 0.0, 0.0), (0.82, 1.0, 0.0, -1.0, END_WEIGHT)
+
+
+@pytest.mark.parametrize(
+    ("in_map", "in_scan", "lowest", "highest"),
+    [
+        (CORNER, (0.82, 1.0, *FACING), 0.0, 0.04),  # 0.5 if both normals counted as the same
+        (LONE, (0.82, 1.0, *FACING), 0.0, 0.0),
+        ((0.82, 1.0, *FACING), LONE, 0.0, 0.0),
+        (LONE, END, MIXED_WEIGHT, MIXED_WEIGHT),
+        (END, LONE, MIXED_WEIGHT, MIXED_WEIGHT),
+        (LONE, LONE, LONE_WEIGHT, LONE_WEIGHT),
+    ],
+    ids=["corner", "lone in map", "lone in scan", "end in scan", "end in map", "both lone"],
+)
+def test_what_says_where_a_robot_is_along_a_wall(in_map, in_scan, lowest, highest):
+    """Nothing but lone points and ends: another point of the wall takes the place of any other."""
+    found = information_along(wall_with(in_map), wall_with(in_scan))
+    assert lowest - 1e-6 <= found <= highest + 1e-6

@@ -444,9 +444,17 @@ def test_covariances_are_no_smaller_than_the_drift():
     poses = circle(20)
     for lines in (ROOM, CORRIDOR):
         tracker, out, _ = drive(poses, odometry_of(poses), scans_from(poses * 0.5, lines))
-        for d, covariance in zip(out.d_pose[1:], out.covariance[1:] + out.error[1:], strict=True):
+        for d, added, error in zip(out.d_pose[1:], out.covariance[1:], out.error[1:], strict=True):
             drift = tracker.drift.covariance(math.hypot(d[0], d[1]), d[2])
-            assert np.linalg.eigvalsh(covariance - drift)[0] > 0.0
+            assert np.linalg.eigvalsh(added + error - drift)[0] > 0.0
+
+
+def test_each_match_adds_the_drift_of_its_motion():
+    poses = circle(20)
+    tracker, out, _ = drive(poses, odometry_of(poses), scans_from(poses))
+    for d, added in zip(out.d_pose[1:], out.covariance[1:], strict=True):
+        drift = tracker.drift.covariance(math.hypot(d[0], d[1]), d[2])
+        np.testing.assert_allclose(added, drift, rtol=0.02)
 
 
 def test_matching_tells_more_than_odometry_alone():

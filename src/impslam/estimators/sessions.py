@@ -26,8 +26,10 @@ from impslam.estimators.loop_closing import (
 )
 from impslam.estimators.pose_graph import PoseGraph
 from impslam.estimators.session_finder import Guess, SessionFinder
+from impslam.geometry.angles import wrap
+from impslam.geometry.chi_square import GATE_3D_99
 from impslam.geometry.covariances import inverse_of
-from impslam.geometry.se2 import between, compose
+from impslam.geometry.se2 import between, block_rotation, compose, compose_uncertain
 from impslam.recognition.beams import MAX_MISFIT
 from impslam.recognition.correlative import Window
 from impslam.types import Array
@@ -193,13 +195,32 @@ class SessionPlacer:
         keys: KeyframeLog,
         graph: PoseGraph,
     ) -> PendingClosure | None:
-        """Return the closure at a likely pose (3,); None if the map agrees with odometry at another one."""
+        """Return the closure at a likely pose (3,), or `expected` if it is where odometry leads to.
+
+        None if the map agrees with odometry elsewhere, but not within its errors: the window around it, of
+        some metres, may contain a place that looks like the one of the robot.
+        """
         if expected is not None:
-            return expected if _is_same_place(_placed(expected, graph), pose) else None
+            is_same = _is_same_place(_placed(expected, graph), pose)
+            return expected if is_same or self._agrees_with_odometry(expected, graph) else None
         closure = self._closer.compare(node, pose, self._closer.window(0.0), keys, graph).closure
         if closure is None or not (closure.is_strong and closure.closure.has_position):
             return None
         return closure
+
+    def _agrees_with_odometry(self, closure: PendingClosure, graph: PoseGraph) -> bool:
+        """Return whether a closure is where odometry, within its errors across the breaks, leads to."""
+        node, poses = closure.j, graph.poses
+        off = between(poses[node], _placed(closure, graph))
+        off[2] = wrap(off[2])
+        covariance = inverse_of(closure.closure.information)
+        for gap in self._breaks:
+            since = between(poses[gap.node], poses[node])
+            still = np.zeros((3, 3))
+            motion, P = compose_uncertain(gap.motion, gap.covariance, since, still)
+            turn = block_rotation(-motion[2])
+            covariance += turn @ P @ turn.T
+        return bool(off @ np.linalg.solve(covariance, off) < GATE_3D_99)
 
     def _nearer(
         self,

@@ -58,6 +58,7 @@ SAME_SIDEWAYS, SAME_HEADING = 0.1, math.radians(1.0)
 open which of them it is."""
 LIKELY_SHARE = 0.75  # of a window of four sigma: a pose farther off is beyond three of them
 SLACK = 0.4  # m that an alignment may leave its window: its pairing distance
+TURN_SLACK = SLACK / SEARCH_RANGE  # rad: the turn that moves points at that range so far
 MIN_RESIDUAL = 0.015  # m, of a point: range noise, and cells of 5 cm
 CORRELATED_POINTS = 40.0
 """Points with a common error, because the surfaces of a submap are bent as a whole.
@@ -182,8 +183,10 @@ class Recogniser:
             return None
         step = max(1, len(query.features) // ALIGN_POINTS)
         closure = self._refine(query, guess, _COARSE._replace(step=step), _COARSE_PRIOR)
-        shift = np.abs(closure.pose - guess)
-        if shift[0] > task.window.x + SLACK or shift[1] > task.window.y + SLACK:
+        shift, size = np.abs(closure.pose - guess), task.window
+        shift[2] = abs(wrap(float(closure.pose[2] - guess[2])))
+        slack = np.array([SLACK, SLACK, TURN_SLACK])
+        if (shift > np.array([size.x, size.y, size.heading]) + slack).any():
             return None
         return closure if closure.verdict == ClosureStrength.STRONG else None
 

@@ -14,14 +14,15 @@ from impslam.types import Array, Ints, Mask, Scan, check_shape
 Features: TypeAlias = np.ndarray[Any, np.dtype[np.float32]]
 """(n, 5) x, y in m; the unit normal on the lidar's side; and the weight of that normal.
 
-The weight is 1 on a surface, 0.5 at its end, where no other feature of it follows, and 0 without a surface:
-the normal is then 0, that of a wall that is seen obliquely, or that of a piece too short to determine it.
+The weight is 1 on a surface, `END_WEIGHT` at its end, where no other feature of it follows, and 0 without a
+surface: the normal is then 0, that of a wall that is seen obliquely, or that of a piece too short for one.
 Rows are in beam order.
 
 A single point counts as on such a wall if the next two beams on one side end nearer, and the line through
 all three points is oblique and straight. Beams beside a table leg go past it.
 """
 
+END_WEIGHT = 0.5
 NORMAL_RADIUS = 0.25
 """m on either side for fitting a normal: long compared with the noise of a beam, 1 to 3 cm."""
 MAX_NEIGHBOURS = 8
@@ -281,7 +282,7 @@ def _normal(
     if towards <= MIN_INCIDENCE or not is_known:
         return nx, ny, 0.0, 0.0
     noise = min(variance / max(mean - half, 1e-12), 1.0)  # its share of the scatter
-    return nx, ny, 0.5 if at_end else 1.0, noise * (nx * mx + ny * my)
+    return nx, ny, END_WEIGHT if at_end else 1.0, noise * (nx * mx + ny * my)
 
 
 @kernel

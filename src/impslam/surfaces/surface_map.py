@@ -17,13 +17,15 @@ import numpy as np
 from impslam.geometry.algebra import solve
 from impslam.geometry.angles import wrap_in_kernel
 from impslam.geometry.kernels import kernel
-from impslam.surfaces.features import Features
+from impslam.surfaces.features import END_WEIGHT, Features
 from impslam.surfaces.zero_pages import zero_pages
 from impslam.types import Array, Ints
 
 CELL = 0.05  # m: surfels of one wall are in neighbouring cells
 RADIUS = 8  # cells: a point finds a surfel up to 0.4 m away
-MIN_NORMAL_COSINE = 0.6  # 53 degrees: normals farther apart belong to two surfaces
+MIN_NORMAL_COSINE = 0.6
+"""53 degrees: normals farther apart belong to two surfaces. The weight falls to 0 there: at a corner, the
+mean normal of a surfel is between those of both walls, and would hold a robot that passes in place."""
 MIN_AVERAGE_COSINE = 0.3  # 73 degrees: normals of one cell farther apart are of two surfaces
 MAX_POINTS = 20.0  # over which a surfel averages
 MAX_BEYOND_END = 0.05
@@ -262,7 +264,8 @@ def normal_equations(
                 continue
             e = nx * ex + ny * ey
             share = 1.0 / (1.0 + e * e * per_scale2)
-            w = surfel[_WEIGHT] * weight * share**2
+            agreement = (cosine - MIN_NORMAL_COSINE) / (1.0 - MIN_NORMAL_COSINE)
+            w = surfel[_WEIGHT] * weight * (share * agreement) ** 2
             if surfel[_WEIGHT] == 1.0 or abs(nx * ey - ny * ex) < MAX_BEYOND_END:
                 sums = _add_row(sums, nx, ny, ny * rx - nx * ry, e, w)
             squares, weights = squares + share * share * e * e, weights + share * share
@@ -306,12 +309,14 @@ def _add_lone(
 ) -> tuple[_Sums, float]:
     """Return the sums plus a point, of which it or its surfel is on no surface, and its inlier weight.
 
-    `point` is its position and normal in the directions of the map, and the weight of that normal. On a
-    wall seen obliquely, only the distance across it counts: the point is anywhere along it, and the visible
-    end of the wall moves with the robot.
+    `point` is its position and normal in the directions of the map, and the weight of that normal. If one
+    of the two is on a surface, or on a wall seen obliquely, only the distance across it counts: the other
+    is anywhere along it, and the visible end of the wall moves with the robot. At its end, both count.
     """
     rx, ry, nx, ny, weight = point
-    if surfel[_WEIGHT] == 0.0 and (weight > 0.0 or (nx == 0.0 and ny == 0.0)):
+    if weight == END_WEIGHT:
+        nx = ny = 0.0
+    if nx == 0.0 and ny == 0.0 and surfel[_WEIGHT] != END_WEIGHT:
         nx, ny = surfel[_NX], surfel[_NY]
     w = LONE_WEIGHT if surfel[_WEIGHT] == weight else MIXED_WEIGHT
     if nx != 0.0 or ny != 0.0:

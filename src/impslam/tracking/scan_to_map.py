@@ -67,9 +67,10 @@ class ScanToMap(Tracker):
         True, "", "points are moved onto their surfaces, as far as they scatter by noise"
     )
     drift: MotionNoise = parameter(
-        MotionNoise(forward=0.01, sideways=0.01, turn_per_distance=0.005, turn_per_turn=0.01),
+        MotionNoise(forward=0.005, sideways=0.005, turn_per_distance=0.0025, turn_per_turn=0.005),
         "",
-        "drift of matched motion: surfaces look different from different positions",
+        "drift of matched motion: surfaces look different from different positions. In recorded "
+        "buildings it is 0.3 to 0.8 of the default, most on ramps and in large rooms",
     )
     _state: State = PrivateAttr()
     _seen: PerLidar[LidarState] = PrivateAttr()

@@ -30,7 +30,7 @@ from impslam.estimators.sessions import (
     SessionPlacer,
     _distinct_closure,
 )
-from impslam.geometry.se2 import between, rotation
+from impslam.geometry.se2 import between, compose, rotation
 from impslam.health import ELSEWHERE
 from impslam.map import Map, with_begins
 from impslam.map_builder import MapBuilder, blended
@@ -42,6 +42,7 @@ TRUTH = way(*LAP[:4])
 CUT = 60
 NOWHERE = np.full(3, np.nan)
 FIRM = np.diag([1e4, 1e4, 1e5])
+SUPPORT = Support(0.8, 0.9, 0.9, 500)
 
 
 @pytest.fixture(scope="module")
@@ -317,6 +318,32 @@ def test_a_wrong_place_by_odometry_is_not_recognised(lap):
     assert off[cut:].max() < 0.1
 
 
+def test_a_closure_agrees_with_odometry_within_its_errors_across_a_break(rng):
+    """In 99 % of the cases if odometry is as good as it says; after a turn and 6 m; not a metre off."""
+    motion, P = np.array([0.5, 0.1, 0.8]), np.diag([4e-4, 1e-4, 9e-4])
+    since = np.array([5.0, 3.0, -1.9])
+    at = np.array([[2.0, 1.0, 2.5], [2.5, 1.0, 2.8], np.zeros(3), np.zeros(3)])
+    at[2] = compose(at[1], motion)
+    at[3] = compose(at[2], since)
+    placer, graph = SessionPlacer(None), SimpleNamespace(poses=at)
+    placer.begin(2, (motion, P))
+
+    along = np.diag([1e3, 1e4, 1e5])  # less along a corridor
+
+    def agrees(error_of_motion, error_of_closure=(0.0, 0.0, 0.0)):
+        true = compose(compose(at[1], motion + error_of_motion), since)
+        pose = between(at[0], true) + np.array(error_of_closure)
+        closure = Closure(pose, along, SUPPORT, ClosureStrength.STRONG, 0.9, -np.inf)
+        return placer._agrees_with_odometry(PendingClosure(0, 3, closure, 0.0), graph)
+
+    noise = rng.multivariate_normal(np.zeros(3), P, 2000)
+    of_closure = rng.multivariate_normal(np.zeros(3), np.linalg.inv(along), 2000)
+    share = np.mean([agrees(*errors) for errors in zip(noise, of_closure, strict=True)])
+    assert 0.98 < share < 0.997
+    assert not agrees(np.array([1.0, 0.0, 0.0]))
+    assert not agrees(np.array([0.0, 0.0, 0.2]))  # 1.2 m to the side
+
+
 def test_along_a_bare_corridor_no_place_is_recognised():
     """It looks the same at any place, so that of odometry is assumed after a long search."""
     truth = way((0.0, 0.0), (40.0, 0.0))
@@ -335,8 +362,7 @@ def test_along_a_bare_corridor_no_place_is_recognised():
 
 def compared(offset, found, information=FIRM):
     """Return a comparison of a node with the map at its place by odometry."""
-    support = Support(0.8, 0.9, 0.9, 500)
-    closure = Closure(np.zeros(3), information, support, ClosureStrength.STRONG, 0.9, -np.inf)
+    closure = Closure(np.zeros(3), information, SUPPORT, ClosureStrength.STRONG, 0.9, -np.inf)
     return Comparison(offset, PendingClosure(0, 9, closure, 0.0) if found else None)
 
 

@@ -26,10 +26,11 @@ from impslam.estimators.loop_closing import (
 )
 from impslam.estimators.pose_graph import PoseGraph
 from impslam.estimators.session_finder import Guess, SessionFinder
+from impslam.geometry.algebra import rotate_covariance
 from impslam.geometry.angles import wrap
 from impslam.geometry.chi_square import GATE_3D_99
 from impslam.geometry.covariances import inverse_of
-from impslam.geometry.se2 import between, block_rotation, compose, compose_uncertain
+from impslam.geometry.se2 import between, compose, compose_uncertain
 from impslam.recognition.beams import MAX_MISFIT
 from impslam.recognition.correlative import Window
 from impslam.types import Array
@@ -210,16 +211,14 @@ class SessionPlacer:
 
     def _agrees_with_odometry(self, closure: PendingClosure, graph: PoseGraph) -> bool:
         """Return whether a closure is where odometry, within its errors across the breaks, leads to."""
-        node, poses = closure.j, graph.poses
-        off = between(poses[node], _placed(closure, graph))
+        found, poses = closure.closure, graph.poses
+        off = between(poses[closure.j], _placed(closure, graph))
         off[2] = wrap(off[2])
-        covariance = inverse_of(closure.closure.information)
+        covariance = rotate_covariance(inverse_of(found.information), -found.pose[2])
         for gap in self._breaks:
-            since = between(poses[gap.node], poses[node])
-            still = np.zeros((3, 3))
-            motion, P = compose_uncertain(gap.motion, gap.covariance, since, still)
-            turn = block_rotation(-motion[2])
-            covariance += turn @ P @ turn.T
+            since = between(poses[gap.node], poses[closure.j])
+            motion, P = compose_uncertain(gap.motion, gap.covariance, since, np.zeros((3, 3)))
+            covariance += rotate_covariance(P, -motion[2])
         return bool(off @ np.linalg.solve(covariance, off) < GATE_3D_99)
 
     def _nearer(

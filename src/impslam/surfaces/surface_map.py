@@ -264,8 +264,7 @@ def normal_equations(
                 continue
             e = nx * ex + ny * ey
             share = 1.0 / (1.0 + e * e * per_scale2)
-            agreement = (cosine - MIN_NORMAL_COSINE) / (1.0 - MIN_NORMAL_COSINE)
-            w = surfel[_WEIGHT] * weight * (share * agreement) ** 2
+            w = surfel[_WEIGHT] * weight * (share * _agreement(cosine)) ** 2
             if surfel[_WEIGHT] == 1.0 or abs(nx * ey - ny * ex) < MAX_BEYOND_END:
                 sums = _add_row(sums, nx, ny, ny * rx - nx * ry, e, w)
             squares, weights = squares + share * share * e * e, weights + share * share
@@ -275,6 +274,12 @@ def normal_equations(
             sums, share = _add_lone(sums, (rx, ry, nx, ny, weight), surfel, ex, ey, scale)
         inliers += share
     _store(out, sums, (inside, inliers, squares, weights))
+
+
+@kernel
+def _agreement(cosine: float) -> float:
+    """Return how far two normals agree: 1 if they are the same, 0 at `MIN_NORMAL_COSINE`."""
+    return (cosine - MIN_NORMAL_COSINE) / (1.0 - MIN_NORMAL_COSINE)
 
 
 @kernel

@@ -3,9 +3,10 @@
     python -m benchmarks.drift LOG...
 
 Each log is mapped twice: as usual, and without closing loops. The final path of the first run is the
-reference, the live path of the second one has the drift of the tracker. Root mean squares of the errors
-over pieces of the path, divided by the standard deviations of the assumed random walk: 1 if it is right.
-A drift that the map repeats, such as that of a wrong range scale, is in both paths and is not seen.
+reference; the live path of the second one has the drift of the tracker. The table shows the root mean
+square of the errors over pieces of the path, each divided by the standard deviation of the assumed random
+walk: it is 1 if the assumption is right. Both paths share the drift that a wrong range scale causes, so
+the table does not show it.
 """
 
 from __future__ import annotations
@@ -23,12 +24,8 @@ from impslam.open_log import open_log
 from impslam.run import run
 from impslam.types import Array
 
-LENGTHS = (
-    2.0,
-    5.0,
-    10.0,
-    20.0,
-)  # m: shorter ones show the noise of single matches, longer ones loops
+LENGTHS = 2.0, 5.0, 10.0, 20.0
+"""m: shorter pieces show the noise of single matches, on longer ones the reference drifts, too."""
 NO_LOOPS = ["estimator.loops.min_path=1e6"]
 
 
@@ -59,11 +56,13 @@ def ratios(log: str) -> list[tuple[float, float]]:
             between(truth[begins], truth[ends]), between(drifting[begins], drifting[ends])
         )
         variance = drift.variances(distance[ends] - distance[begins], turned[ends] - turned[begins])
-        across = (
-            variance[:, 1] + variance[:, 2] * length**2 / 3.0
-        )  # of a random walk of the heading
+        of_heading = variance[:, 2] * length**2 / 3.0  # across the path, of its random walk
         heading = np.sqrt(np.mean(wrap(error[:, 2]) ** 2 / variance[:, 2]))
-        position = np.sqrt(np.mean((error[:, :2] ** 2).sum(axis=1) / (variance[:, 0] + across)))
+        position = np.sqrt(
+            np.mean(
+                (error[:, :2] ** 2).sum(axis=1) / (variance[:, 0] + variance[:, 1] + of_heading)
+            )
+        )
         out.append((float(heading), float(position)))
     return out
 

@@ -26,12 +26,10 @@ from impslam.estimators.loop_closing import (
 )
 from impslam.estimators.pose_graph import PoseGraph
 from impslam.estimators.session_finder import Guess, SessionFinder
-from impslam.geometry.algebra import rotate_covariance
-from impslam.geometry.angles import wrap
-from impslam.geometry.chi_square import GATE_3D_99
 from impslam.geometry.covariances import inverse_of
-from impslam.geometry.se2 import between, compose, compose_uncertain
+from impslam.geometry.se2 import between, compose, compose_uncertain, inverse
 from impslam.recognition.beams import MAX_MISFIT
+from impslam.recognition.consistency import Relation, consistent
 from impslam.recognition.correlative import Window
 from impslam.types import Array
 
@@ -211,15 +209,16 @@ class SessionPlacer:
 
     def _agrees_with_odometry(self, closure: PendingClosure, graph: PoseGraph) -> bool:
         """Return whether a closure is where odometry, within its errors across the breaks, leads to."""
-        found, poses = closure.closure, graph.poses
-        off = between(poses[closure.j], _placed(closure, graph))
-        off[2] = wrap(off[2])
-        covariance = rotate_covariance(inverse_of(found.information), -found.pose[2])
+        poses, at, exact = graph.poses, closure.i, np.zeros((3, 3))
+        still = Relation(np.zeros(3), exact)
+        odometry = still
         for gap in self._breaks:
-            since = between(poses[gap.node], poses[closure.j])
-            motion, P = compose_uncertain(gap.motion, gap.covariance, since, np.zeros((3, 3)))
-            covariance += rotate_covariance(P, -motion[2])
-        return bool(off @ np.linalg.solve(covariance, off) < GATE_3D_99)
+            before = compose_uncertain(*odometry, between(poses[at], poses[gap.node - 1]), exact)
+            odometry = Relation(*compose_uncertain(*before, gap.motion, gap.covariance))
+            at = gap.node
+        after = between(poses[at], poses[closure.j])
+        found = Relation(closure.closure.pose, inverse_of(closure.closure.information))
+        return consistent(found, odometry, still, still._replace(pose=inverse(after)))
 
     def _nearer(
         self,

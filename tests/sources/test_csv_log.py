@@ -230,6 +230,42 @@ def test_lines_of_different_length_are_explained(tmp_path: Path) -> None:
         read(path)
 
 
+@pytest.mark.parametrize(
+    ("lines", "said"),
+    [
+        (
+            ["stamp", "1.5"],
+            "its lines have 1 cell instead of 4 or more; write a stamp and the ranges",
+        ),
+        (
+            ["stamp;x;y", "0,5;1,0;2,0"],
+            "its lines have 3 cells instead of 4 or more; write a stamp",
+        ),
+        (["1,2,3", "4,5,6"], "its lines have 3 cells instead of 4 or more; write a stamp"),
+        (["t,x,y,theta,0,1,2"], "it has a single line; write the names of the columns in it"),
+        (
+            ["t,x,y,theta", "s,m,m,rad", "1,2,3,4"],
+            "its second line has fewer than 4 numbers; write",
+        ),
+        (["t,x,y,theta,0", "1,2,3"], "its first line has 5 cells and its second 3; write"),
+        (["t;x;y;theta;0", "1,2,3,4,5"], "has 1 cell and its second 5; .*, separated alike, and"),
+        (["t,0,1,2", "0,5,1,5,2,0,3,5"], "second 8; .* separated alike, with decimal points, and"),
+    ],
+)
+def test_tables_that_are_no_log_are_explained(tmp_path: Path, lines: list[str], said: str) -> None:
+    path = tmp_path / "table.csv"
+    path.write_text("\n".join(lines) + "\n")
+    with pytest.raises(SourceError, match=f"no known log format.*; for a CSV log, .*{said}"):
+        read(path)
+
+
+def test_other_files_are_not_said_to_be_csv(tmp_path: Path) -> None:
+    path = tmp_path / "notes.txt"
+    path.write_text("1,2,3\n4,5,6\n")
+    with pytest.raises(SourceError, match="write stamps, poses and ranges of another format as"):
+        read(path)
+
+
 @pytest.mark.parametrize("mark", [";", "\t", "|"])
 @pytest.mark.parametrize(
     "header", ["t,x,y,theta,-90,0,90", '"t","x","y","theta","-90","0","90"', None]
@@ -294,7 +330,10 @@ def test_all_ranges_in_one_cell(tmp_path: Path, mark: str, ends: str) -> None:
     assert scan.stamp == 1714557600.25
     np.testing.assert_array_equal(scan.ranges, [1.25, 2.5, math.inf])
     np.testing.assert_array_equal(scan.angles, [-1.0, -0.5, 0.0])
-    assert "9 cells instead of 10" in source.problems.examples["malformed row"]
+    assert (
+        "9 cells instead of 10; write every line with as many"
+        in source.problems.examples["malformed row"]
+    )
 
 
 @pytest.mark.parametrize(

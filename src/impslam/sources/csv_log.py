@@ -28,6 +28,7 @@ from impslam.sources.csv_columns import (
 from impslam.sources.csv_rows import odometry, odometry_kind, scan, stamp_of, unit_of
 from impslam.sources.csv_text import (
     MIN_COLUMNS,
+    explain,
     names,
     numbers,
     opening,
@@ -81,19 +82,15 @@ class CsvLog(TextSource):
 
     @classmethod
     def explain_refusal(cls, path: Path) -> str:
-        """Say that a file is UTF-16, lacks names of columns, or has lines of different length."""
+        """Say what keeps a file of numbers in cells, or one named `.csv`, from being a CSV log."""
         if path.is_file() and _starts_with_utf16(path):
             return "it is text in UTF-16; save it as UTF-8"
         found = opening(path)
-        widths = found.widths
-        if widths is None or min(widths) < MIN_COLUMNS:
+        is_meant = found.widths is not None and min(found.widths) >= MIN_COLUMNS
+        if not is_meant and ".csv" not in path.suffixes:
             return ""
-        if not found.is_csv:
-            return "for a CSV log with spaces between numbers, name the columns in its first line"
-        return (
-            f"for a CSV log, its first line has {widths[0]} cells and its second {widths[1]}; "
-            "write every line with as many, and leave those without a value empty"
-        )
+        why = explain(found)
+        return f"for a CSV log, {why}" if why else ""
 
     def __enter__(self) -> Self:
         super().__enter__()

@@ -53,10 +53,18 @@ class Opening(NamedTuple):
     @property
     def widths(self) -> tuple[int, int] | None:
         """The numbers of cells of both, or None if the second has too few numbers."""
-        if any(b"{" in cell for cell in self.first):  # JSON has commas, too
-            return None
-        is_table = sum(map(_is_cell, self.second)) >= MIN_COLUMNS
+        is_table = self.numbers >= MIN_COLUMNS and not self.is_json
         return (len(self.first), len(self.second)) if is_table else None
+
+    @property
+    def numbers(self) -> int:
+        """The number of cells of the second that are numbers, dates with times, or empty."""
+        return sum(map(_is_cell, self.second))
+
+    @property
+    def is_json(self) -> bool:
+        """Whether it can be JSON, which has commas, too."""
+        return any(b"{" in cell for cell in self.first)
 
 
 def opening(path: Path) -> Opening:
@@ -77,6 +85,37 @@ def opening(path: Path) -> Opening:
     if has_header:
         first = _names([_cells(lines[k], mark) for k in found[:2]])
     return Opening(first, second, has_header, found[0] + 1 + has_header, mark)
+
+
+def explain(found: Opening) -> str:
+    """Say why the first lines of a file are not those of a CSV log, and what to do; "" if it has none."""
+    width, second = len(found.first), len(found.second)
+    if not found.first or found.is_json:
+        return ""
+    if not found.second:
+        return "it has a single line; write the names of the columns in it, and the rows below"
+    if width != second:
+        is_split = found.mark == b"," and 1 < width < second / 1.5  # as by decimal commas
+        points = ", with decimal points" if is_split else ""
+        return (
+            f"its first line has {_cell_count(width)} and its second {second}; write every line with as "
+            f"many, separated alike{points}, and leave those without a value empty"
+        )
+    if width < MIN_COLUMNS:
+        return (
+            f"its lines have {_cell_count(width)} instead of {MIN_COLUMNS} or more; write a stamp and the "
+            "ranges of at least three beams in each, separated by commas or semicolons"
+        )
+    if found.numbers < MIN_COLUMNS:
+        return (
+            f"its second line has fewer than {MIN_COLUMNS} numbers; write the names of the columns in the "
+            "first line, and numbers in all others"
+        )
+    return "name the columns in its first line if spaces separate the numbers"
+
+
+def _cell_count(n: int) -> str:
+    return f"{n} cell" if n == 1 else f"{n} cells"
 
 
 def trim(line: bytes) -> bytes:
@@ -160,7 +199,7 @@ def numbers(cells: Sequence[bytes], used: Sequence[int], width: int) -> Array:
         If there are not `width` cells, or one that is used is neither a number nor a date with a time.
     """
     if len(cells) != width:
-        raise MessageError(f"{len(cells)} cells instead of {width}")
+        raise MessageError(f"{len(cells)} cells instead of {width}; write every line with as many")
     values = np.full(width, np.nan)
     try:
         values[used] = [float(cells[k]) if cells[k].strip() else math.nan for k in used]

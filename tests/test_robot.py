@@ -356,6 +356,18 @@ def test_scans_without_a_valid_beam_are_counted_and_used():
     assert example.startswith("the scan at 2.000 s has no valid range; the pose is dead-reckoned")
 
 
+def test_a_robot_has_seen_something_with_one_valid_beam_or_another_sensor():
+    robot = lidars(a="")
+    sensed(robot, [("scan", scan(float(k), reach=0.0)) for k in range(5)], 2)
+    assert not robot.has_seen
+    sensed(robot, [("scan", scan(5.0))], 2)
+    assert robot.has_seen
+    robot = Robot("r", lidars().odometry, {"camera": RangeBearing()})
+    one = np.ones(1)
+    sensed(robot, [("camera", Detections(0.0, one, one, np.array([1]), one))], 2)
+    assert robot.has_seen
+
+
 def test_detections_are_looked_at_where_they_are_asked_for():
     robot = Robot("r", lidars().odometry, {"camera": RangeBearing()})
     nan = np.full(1, math.nan)

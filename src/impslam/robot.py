@@ -49,6 +49,7 @@ class Robot:
     streams : which stream of the log each part reads
     counts : number of rows by type of message
     problems : count and first example of each kind of problem
+    has_seen : whether any sweep so far was not a scan without a valid beam
     """
 
     def __init__(
@@ -64,6 +65,7 @@ class Robot:
         rest, wheels = odometry.split() if without_systematic else (odometry, None)
         self.counts: dict[str, int] = {}
         self.problems = Problems()
+        self.has_seen = False
         fuses = odometry.gyro.use and odometry.measures_motion
         self.streams = Streams(
             Reader("odometry", odometry.consumes, odometry.stream),
@@ -244,8 +246,10 @@ class Robot:
     def _count_blind(self, sweeps: Sweeps) -> None:
         """Record scans without a valid beam; their motion is still used."""
         if sweeps.scans is None:
+            self.has_seen = True
             return
         blind = ~sweeps.scans.valid.any(axis=1)
+        self.has_seen |= not blind.all()
         if not blind.any():
             return
         first = int(np.argmax(blind))

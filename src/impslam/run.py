@@ -388,6 +388,12 @@ class Run:
             raise SourceError(f"{source.path}: {self._continuation.refusal}")
         if self.scans == 0:
             raise SourceError(source.explain_emptiness())
+        if not self.robot.has_seen:
+            raise SourceError(
+                f"{source.path}: none of the {self.scans} scans has a valid range; nothing can be mapped: "
+                "check the lidar, or sensors.*.range_min, range_max and range_scale; `imp inspect` "
+                "prints the limits"
+            )
         if not self.has_odometry:
             wanted = self.robot.odometry.consumes.__name__
             hint = source.unknown_odometry() or "`imp inspect` lists its contents"

@@ -7,6 +7,7 @@ import logging
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -224,6 +225,20 @@ def test_logs_that_lack_something(imp, tmp_path, messages, lacking) -> None:
     said = imp("inspect", log)
     assert said.code == 0
     assert "problem: 1 x no " in said.out
+
+
+@pytest.mark.parametrize("reach", [0.0, np.nan, np.inf, 9.5])
+def test_a_log_without_a_valid_range(imp, tmp_path, reach) -> None:
+    blind = [replace(scan, ranges=np.full(21, reach)) for scan in scans()]
+    log = write(tmp_path / "blind.mcap", [*blind, *wheels()])
+    folder = tmp_path / "run"
+    said = imp("run", log, "-o", folder)
+    fails(
+        said, "blind.mcap: none of the 3 scans has a valid range", "sensors.*.range_min, range_max"
+    )
+    assert not folder.exists()
+    seeing = write(tmp_path / "seeing.mcap", [*blind[:2], scans()[2], *wheels()])
+    assert imp("run", seeing, "-o", folder).code == 0
 
 
 def test_output_that_is_not_ours(imp, room, tmp_path) -> None:

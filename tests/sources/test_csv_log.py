@@ -401,6 +401,14 @@ def test_units_in_brackets(tmp_path: Path) -> None:
     assert (speed.speed, speed.turn_rate) == pytest.approx((0.5, math.pi / 2))
 
 
+def test_a_log_whose_ranges_are_all_empty_says_so(tmp_path: Path) -> None:
+    path = log(tmp_path, "t,x,y,theta,0,1,2", "1,1,2,3,nan,nan,nan", "2,1,2,3,,,")
+    with pytest.raises(
+        SourceError, match="no usable scan; the ranges of all rows are empty or NaN"
+    ):
+        impslam.run(path)
+
+
 def test_a_log_without_usable_rows_says_why(tmp_path: Path) -> None:
     path = log(tmp_path, "t,x,y,theta,0,1,2", "noon,1,2,3,4,5,6", "noon,1,2,3,4,5,6")
     with pytest.raises(

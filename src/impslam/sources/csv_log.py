@@ -117,6 +117,12 @@ class CsvLog(TextSource):
             f"{' or '.join(map('+'.join, MOTIONS))}, or by --columns x=NAME,y=NAME,theta=NAME"
         )
 
+    def missing_scans(self) -> str:
+        """Say that all ranges are missing if no row is malformed."""
+        if not self._columns().has_ranges or "malformed row" in self.problems.counts:
+            return ""
+        return "the ranges of all rows are empty or NaN: check the lidar and what wrote the file"
+
     def defaults(self) -> Mapping[type[Message], str]:
         """Return the streams of the file."""
         return {kind: STREAMS[kind] for kind in self.kinds()}

@@ -373,6 +373,21 @@ def test_a_pause_of_minutes_is_counted_and_bridged(bare, tmp_path):
     assert kept.worst < 1e-6
 
 
+def test_motion_after_the_last_scan_is_said(bare, tmp_path):
+    """As if the lidar failed, or TF moved it so that its scans are dropped."""
+    last = [m for m in bare if isinstance(m, WheelAngles)][-1]
+    times = np.arange(0.1, 90.0, 0.1)
+    ahead = [WheelAngles(last.stamp + t, last.left + 5 * t, last.right + 5 * t) for t in times]
+    health = play([*bare, *ahead], tmp_path).outcome.health
+    assert health.silent == pytest.approx(90.0, abs=0.5)
+    assert health.at_end == "DEGRADED"
+    end = "; at the end DEGRADED: no scan in the last 90 s, while the robot moves on"
+    assert health.summary == "TRACKING throughout" + end
+    stood = [WheelAngles(last.stamp + t, last.left, last.right) for t in times]
+    health = play([*bare, *stood], tmp_path).outcome.health
+    assert (health.silent, health.at_end) == (0.0, "TRACKING")
+
+
 def test_messages_nobody_understands_are_passed_over(bare, tmp_path):
     others = [Image(bare[0].stamp, "jpeg", b"x"), OdometryPose(bare[0].stamp, np.full(3, 9.0))]
     kept = play([*others, *bare, *others[:1]], tmp_path)

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from impslam.types import Array
+from impslam.types import Array, Increment
 
 Reasons = np.ndarray[Any, np.dtype[np.int8]]
 
@@ -138,11 +138,13 @@ class Health(NamedTuple):
     stamps : (n,) s, those of the log
     reasons : (n,) int8, why each pose cannot be trusted; `NONE` if it can
     amounts : (n,) the amount that the reason comes with, else 0
+    silent : s after the last scan in which the robot has moved on, see `silent_time`; else 0
     """
 
     stamps: Array
     reasons: Reasons
     amounts: Array
+    silent: float = 0.0
 
     @property
     def states(self) -> Reasons:
@@ -154,6 +156,12 @@ class Health(NamedTuple):
     def counts(self) -> dict[str, int]:
         """Return the number of scans in each state."""
         return dict(zip(STATES, np.bincount(self.states, minlength=3).tolist(), strict=True))
+
+    @property
+    def at_end(self) -> str:
+        """The name of the state at the end; without scans, the pose there is at best dead-reckoned."""
+        newest = state_of(int(self.reasons[-1])) if len(self.reasons) else TRACKING
+        return STATES[max(newest, DEGRADED) if self.silent else newest]
 
     @property
     def needs_inspection(self) -> bool:
@@ -173,6 +181,10 @@ class Health(NamedTuple):
     @property
     def summary(self) -> str:
         """One line for the report and the terminal."""
+        if self.silent:
+            before = self._replace(silent=0.0).summary.removesuffix("; TRACKING at the end")
+            why = f"no scan in the last {self.silent:.0f} s, while the robot moves on"
+            return f"{before}; at the end {self.at_end}: {why}"
         spans = list(self.spans())
         if not spans:
             return "TRACKING throughout"
@@ -186,6 +198,16 @@ class Health(NamedTuple):
         if self.reasons[-1] == NONE:
             return line + "; TRACKING at the end"
         return line + f"; at the end {spans[-1].state}: {spans[-1].description}"
+
+
+def silent_time(ahead: Increment) -> float:
+    """Return the duration of the motion after the last scan, s, or 0 if it hardly changes the position.
+
+    That is if it increases the position's standard deviation by at most `MAX_GROWTH`.
+    """
+    variance = float(ahead.covariance[0, 0] + ahead.covariance[1, 1])
+    is_known = ahead.duration > 0.0  # not NaN, as with unusable stamps
+    return ahead.duration if is_known and variance > MAX_GROWTH**2 else 0.0
 
 
 def state_of(reason: int) -> int:

@@ -27,7 +27,7 @@ from impslam.diagnosis.odometry_watch import OdometryWatch
 from impslam.errors import Interrupted, SourceError, in_a_line
 from impslam.estimators.base import Draft, completed
 from impslam.geometry.se2 import compose, compose_uncertain
-from impslam.health import CHANGED, NO_FAULT, UNEXPLAINED, LogFault
+from impslam.health import CHANGED, NO_FAULT, UNEXPLAINED, LogFault, silent_time
 from impslam.map import Keyframe, Keyframes, Map, PathRows, T_map_odom, Track
 from impslam.map_builder import MapBuilder, blended
 from impslam.observers.base import Dropped, Observer, Outcome, checked_observers, finish_all
@@ -417,7 +417,7 @@ class Run:
             wall_seconds=self.clock.elapsed,
             compile_seconds=self.clock.compiling,
             state_size=self.estimator.state_size,
-            health=self._health.health,
+            health=self._health.health._replace(silent=silent_time(self.robot.ahead())),
             lidar_alone=not self.robot.odometry.measures_motion,
         )
 

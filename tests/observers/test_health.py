@@ -23,6 +23,7 @@ from impslam.health import (
     Health,
     LogFault,
     describe,
+    silent_time,
 )
 from impslam.map import PathRows, Revision
 from impslam.observers.health import HealthMonitor
@@ -242,6 +243,24 @@ def test_spans_report_the_longest_distance_and_the_smallest_share():
     states = "TRACKING at 1 scans, DEGRADED at 4 scans"
     assert health.summary.startswith(states + "; the longest begins 0.0 s after the start: no")
     assert health.summary.endswith("at the end DEGRADED: " + list(health.spans())[1].description)
+
+
+def test_the_state_at_the_end_is_not_better_without_scans():
+    reasons = np.array([OPEN, NONE, NONE, NONE], np.int8)
+    health = Health(np.arange(4.0), reasons, np.ones(4), silent=9.0)
+    assert health.at_end == "DEGRADED"
+    assert health._replace(silent=0.0).summary.endswith("corridor for 1.0 m; TRACKING at the end")
+    assert "corridor for 1.0 m; at the end DEGRADED: no scan in the last 9 s" in health.summary
+    reasons[-1] = ELSEWHERE
+    assert "; at the end LOST: no scan in the last 9 s" in health.summary
+
+
+def test_time_without_scans_counts_if_the_position_has_become_uncertain():
+    def after(sigma, seconds):
+        return Increment(20.0, np.zeros(3), np.diag([sigma**2, 0.0, 0.0]), seconds)
+
+    times = [silent_time(after(*one)) for one in ((0.3, 9.0), (0.2, 9.0), (0.3, np.nan))]
+    assert times == [9.0, 0.0, 0.0]
 
 
 def test_one_reason_throughout_is_said_once():

@@ -46,7 +46,8 @@ def write_ros_map(path: Path, known: Map, outcome: Outcome) -> None:
     rows = known.rows()
     at = _chronological(rows.stamps)
     stamps, poses, odometry = rows.stamps[at], rows.poses[at], rows.odometry[at]
-    _, reasons, amounts = health_of(known, outcome.health)
+    health = health_of(known, outcome.health)
+    reasons, amounts = health.reasons, health.amounts
     begin = float(stamps[0])
     with McapFile(path) as file:
 

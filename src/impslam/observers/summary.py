@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import tomli_w
 
-from impslam.health import STATES, TRACKING, Health, state_of
+from impslam.health import Health
 from impslam.map import Map
 from impslam.observers.base import Outcome
 from impslam.observers.history import History
@@ -68,8 +68,12 @@ def _health(health: Health) -> dict[str, Any]:
         }
         for span in health.spans()
     ]
-    newest = state_of(int(health.reasons[-1])) if len(health.reasons) else TRACKING
-    return {"scans": health.counts(), "spans": spans, "at_end": STATES[newest]}
+    return {
+        "scans": health.counts(),
+        "spans": spans,
+        "silent_at_end_s": _round(health.silent),
+        "at_end": health.at_end,
+    }
 
 
 def kinds(numbers: Mapping[str, int]) -> str:

@@ -14,8 +14,11 @@ from impslam.columns import batches
 from impslam.config import load
 from impslam.evaluation.trajectory import interpolate
 from impslam.geometry.se2 import between, compose
+from impslam.sensors.lidar2d import Lidar2D
 from impslam.simulation.world import load_world
 from impslam.surfaces.features import features
+from impslam.tracking.scan_to_map import ScanToMap
+from impslam.types import LaserScan
 
 ROOM = room(-2.0, 3.0, -1.5, 2.2)
 CIRCLES = np.array([[1.5, 0.9, 0.2], [-1.0, -0.6, 0.15]])
@@ -148,6 +151,25 @@ def test_path_of_a_simulated_lidar(beam_time):
     error = motions.T_begin_end - between(*true)
     assert len(error) > 5
     np.testing.assert_allclose(error.std(axis=0), 0.0, atol=1e-3)
+
+
+def test_no_scan_is_matched_twice_where_scans_do_not_fit(monkeypatch):
+    """The tracker restarts where it is lost: at once, not after the scans that it was given with."""
+    follow, matched = ScanToMap.steps, list[int]()
+
+    def counted(tracker, motions, sweeps, gate):
+        matched.append(len(sweeps))
+        return follow(tracker, motions, sweeps, gate)
+
+    monkeypatch.setattr(ScanToMap, "steps", counted)
+    rooms = [cast(room(-1.0 - k % 3, 3.0, -2.0, 1.0 + k % 4)).scan for k in range(150)]
+    scans = [
+        ("LaserScan", LaserScan(0.1 * k, s.angles, s.ranges, np.zeros(len(s.ranges))))
+        for k, s in enumerate(rooms)
+    ]
+    path = lidar_path(Lidar2D(), record_batches(load("default"), batches(scans)).scans)
+    assert path.trusted.sum() < 50
+    assert sum(matched) == len(path.poses) == 150
 
 
 @pytest.mark.parametrize("count", [0, 1, 300])

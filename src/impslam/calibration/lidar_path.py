@@ -21,8 +21,8 @@ from impslam.tracking.scan_to_map import ScanToMap
 from impslam.types import Array, Ints, Mask
 
 MAX_MISMATCHES, CHUNK = 5, 100
-"""Consecutive scans that do not fit, after which the tracker restarts; and sweeps that are processed at
-once."""
+"""Consecutive scans that do not fit, after which the tracker restarts; and sweeps that are processed
+together."""
 MIN_INFORMATION = 0.02
 """Smallest information per point of a scan on the weakest combination of x, y and turn; 1 at most. In a
 round room with a box it is 0.01, by normals that are off by 0.1 rad; in rooms with corners 0.03 to 0.2."""
@@ -75,7 +75,7 @@ def lidar_path(lidar: Lidar2D, scans: Sequence[Columns]) -> LidarPath:
         found += [one for motions, sweeps in sensed for one in follower.follow(motions, sweeps)]
         begins, ends = clock.spans(piece)
         at.append(0.5 * (begins + ends))
-    motion, trusted, located = map(np.concatenate, zip(*found, strict=True))
+    motion, trusted, located = _joined(found)
     middles, poses = np.concatenate(at), chain(motion)
     return LidarPath(middles, poses, trusted, located, twists(middles, poses))
 
@@ -107,17 +107,36 @@ class _Follower:
         sweeps = replace(sweeps, scans=raw)
         while begin < len(sweeps):
             rows = slice(begin, begin + CHUNK)
-            steps = self._tracker.steps(motions.take(rows), sweeps.take(rows), self._gate)
-            trusted = steps.reasons == NONE
-            trusted[0] &= not self._restarted
-            lost = np.convolve(~trusted, np.ones(MAX_MISMATCHES), "valid") == MAX_MISMATCHES
-            self._restarted = bool(lost.any())
-            end = int(np.argmax(lost)) + MAX_MISMATCHES if self._restarted else len(trusted)
-            determined = determines_pose(raw.take(slice(begin, begin + end)))
-            yield _Followed(steps.moved[:end], trusted[:end], steps.located[:end] & determined)
-            begin += end
+            found = self._follow_chunk(motions.take(rows), sweeps.take(rows))
+            end = begin + len(found.motion)
+            determined = determines_pose(raw.take(slice(begin, end)))
+            yield found._replace(located=found.located & determined)
+            begin = end
             if self._restarted:
                 self._tracker = ScanToMap(smooth=False)
+
+    def _follow_chunk(self, motions: Motions, sweeps: Sweeps) -> _Followed:
+        """Return the motions to these sweeps, or to those until the tracker is lost.
+
+        Only as many are matched at once as it takes to lose it: those after that would be matched again
+        after the restart, and where few scans fit, as in thinned logs, it is lost every few scans.
+        """
+        parts, first, misfits = list[_Followed](), 0, 0
+        while first < len(sweeps) and misfits < MAX_MISMATCHES:
+            rows = slice(first, first + MAX_MISMATCHES - misfits)
+            steps = self._tracker.steps(motions.take(rows), sweeps.take(rows), self._gate)
+            trusted = steps.reasons == NONE
+            trusted[0] &= first > 0 or not self._restarted
+            parts.append(_Followed(steps.moved, trusted, steps.located))
+            first += len(trusted)
+            misfits = int(np.argmax(trusted[::-1])) if trusted.any() else misfits + len(trusted)
+        self._restarted = misfits == MAX_MISMATCHES
+        return _joined(parts)
+
+
+def _joined(parts: Sequence[_Followed]) -> _Followed:
+    motions, trusted, located = zip(*parts, strict=True)
+    return _Followed(np.concatenate(motions), np.concatenate(trusted), np.concatenate(located))
 
 
 def determines_pose(scans: Scans) -> Mask:

@@ -287,8 +287,8 @@ def recognise(path: Path) -> type[Source]:
         reasons.append(cls.explain_refusal(path))
     if path.is_dir() and (content := explain_folder(path, _is_log)):
         raise SourceError(f"{path}: is not a log; {content}")
-    if path.is_file() and not any(reasons):
-        reasons.append(_explain_start(path))
+    if path.is_file() and (not any(reasons) or _start(path) == _LFS_POINTER):
+        reasons = [_explain_start(path)]
     known = ", ".join(names("source"))
     text = f"{path}: no known log format; readable are {known} (see `imp list`)"
     others = ["write stamps, poses and ranges of another format as CSV (docs/formats.md)"]
@@ -311,10 +311,15 @@ def _is_log(path: Path) -> bool:
     return False
 
 
+def _start(path: Path) -> bytes:
+    """Return the first bytes of a file, as many as show what it is."""
+    with path.open("rb") as file:
+        return file.read(len(_LFS_POINTER))
+
+
 def _explain_start(path: Path) -> str:
     """Say what the first bytes of a file show: that it is packed, elsewhere, or was not written."""
-    with path.open("rb") as file:
-        start = file.read(len(_LFS_POINTER))
+    start = _start(path)
     if start == _LFS_POINTER:
         return "it is a pointer to a file in Git LFS; `git lfs pull` in its repository gets the log"
     if not any(start):

@@ -1,4 +1,4 @@
-"""Without odometry, sweeps are de-skewed by the tracked motion."""
+"""Sweeps are de-skewed by the tracked motion: without odometry, and where wheels slip in turns."""
 
 from dataclasses import replace
 
@@ -14,13 +14,13 @@ from impslam.geometry.se2 import compose
 from impslam.health import LOST
 from impslam.noise import UNKNOWN
 from impslam.sensors.deskewing import RangeCalibration, deskew_sweeps
-from impslam.simulation.robot import Lidar, SimulatedRobot
+from impslam.simulation.robot import Lidar, SimulatedRobot, WheelEncoders
 from impslam.simulation.simulate import simulate
 from impslam.simulation.world import World, load_world
 from impslam.sources.recording import McapWriter
 from impslam.studies.fault_scores import LiveRecorder
 from impslam.tracking.self_deskewing import deskew, set_twist, with_stamps
-from impslam.types import Increment, LaserScan, TruePose
+from impslam.types import Increment, TruePose
 
 BEAMS, PERIOD = 360, 1.0 / 5.5
 AFTER = (np.arange(BEAMS) / BEAMS - 0.5) * PERIOD
@@ -82,8 +82,23 @@ def test_the_pose_at_a_stamp_is_as_certain_as_the_velocity():
     np.testing.assert_allclose(found.T_middle_stamp[1:], 0.01, atol=1e-12)
 
 
-def driven(folder, world, range_max=12.0, rate=1.0 / PERIOD):
-    """Simulate a robot with nothing but a slow lidar; return its log, and its true poses by stamp."""
+@pytest.mark.parametrize(
+    ("moved", "expected"), [(0.4, -0.16), (0.49, -0.2), (2.0, -0.4), (-0.1, 0.0)]
+)
+def test_the_heading_at_a_stamp_follows_the_scans_in_turns(moved, expected):
+    """Odometry turns by 0.5 rad, 0.2 of it between stamp and middle; 0.01 rad is an error of a match."""
+    scan, turn = cast(room(-3.0, 4.0, -2.5, 3.2)).scan, np.array([0.0, 0.0, 0.5])
+    motions = motions_of([Increment(0.1, turn, 1e-4 * np.eye(3), 0.1)])
+    sweeps = sweeps_of([scan], motions.stamps)
+    scans = replace(sweeps.scans, after=np.linspace(-0.04, 0.04, len(scan.ranges)))
+    sweeps = replace(sweeps, scans=scans, T_middle_stamp=np.array([[-0.02, 0.0, -0.2]]))
+    found = with_stamps(motions, sweeps, np.array([[0.0, 0.0, moved]]))
+    np.testing.assert_allclose(found.T_middle_stamp, [[-0.02, 0.0, expected]], atol=1e-12)
+    np.testing.assert_array_equal(found.stamp_covariance, sweeps.stamp_covariance)
+
+
+def driven(folder, world, range_max=12.0, rate=1.0 / PERIOD, encoders=None):
+    """Simulate a robot with a slow lidar, by default alone; return its log, and its true poses by stamp."""
     lidar = Lidar(
         beams=BEAMS,
         angle_min=-np.pi,
@@ -95,11 +110,11 @@ def driven(folder, world, range_max=12.0, rate=1.0 / PERIOD):
     )
     truth, log = {}, folder / "slow.mcap"
     with McapWriter(log, "default") as writer:
-        for message in simulate(world, SimulatedRobot(imu=None, encoders=None, lidar=lidar)):
-            if isinstance(message, LaserScan):
-                writer.write(message)
-            elif isinstance(message, TruePose):
+        for message in simulate(world, SimulatedRobot(imu=None, encoders=encoders, lidar=lidar)):
+            if isinstance(message, TruePose):
                 truth[round(message.stamp, 4)] = message.pose
+            else:
+                writer.write(message)
     return log, truth
 
 
@@ -143,3 +158,15 @@ def test_a_turn_that_begins_within_a_sweep_is_no_new_place(tmp_path):
     path = impslam.run(log, settings=["odometry.kind=lidar_only"], observers=[seen]).path()
     assert (seen.outcome.health.states != LOST).all()
     assert errors(path, truth)[1].max() < np.radians(5.0)
+
+
+@pytest.mark.parametrize("share", [0.75, 1.0, 1.3])
+def test_sweeps_are_not_distorted_by_wheels_that_turn_more_or_less_than_the_robot(tmp_path, share):
+    """At 2 rad/s, odometry that turns by three quarters of it distorts a sweep by 6 deg."""
+    wheels = WheelEncoders.perfect(wheel_radius=0.05, track=0.4)
+    log, truth = driven(tmp_path, corridor(), range_max=8.0, rate=5.0, encoders=wheels)
+    settings = ["kind=encoders", "wheel_radius=0.05", f"track={0.4 / share}"]
+    known = impslam.run(log, settings=[f"odometry.{setting}" for setting in settings])
+    off, turned = errors(known.path(), truth)
+    assert np.sqrt(np.mean(off**2)) < 0.008
+    assert turned.max() < np.radians(1.5)

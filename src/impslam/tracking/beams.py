@@ -26,7 +26,8 @@ class Geometry(NamedTuple):
 class BeamColumns(NamedTuple):
     """The columns of `Scans`, with ranges of 0 where invalid, and the directions of the beams.
 
-    Without odometry, `points`, `origins` and `directions` are de-skewed in place, if `after` is not empty.
+    If `after` is not empty, `points`, `origins` and `directions` were de-skewed with the `twists` (m, 3) of
+    odometry. Where a match shows another motion, they are de-skewed anew, in place.
     """
 
     points: Array
@@ -35,16 +36,23 @@ class BeamColumns(NamedTuple):
     origins: Array
     directions: Array
     after: Array
+    twists: Array
     geometry: Geometry
 
 
-def beam_columns(scans: Scans | None, m: int) -> BeamColumns:
-    """Return the beams of m sweeps; no beams unless the sensor is a lidar."""
+def beam_columns(scans: Scans | None, m: int, twists: Array | None = None) -> BeamColumns:
+    """Return the beams of m sweeps; no beams unless the sensor is a lidar.
+
+    Without `twists`, those of the columns are zero.
+    """
+    twists = np.zeros((m, 3)) if twists is None else plain(twists)
     if scans is None:
         none: Array = np.zeros((m, 0))
         geometry = Geometry(np.zeros(3), 0.0, 0.0)
         ends = np.zeros((m, 0, 2))
-        return BeamColumns(ends, none.astype(np.bool_), none, ends, none, np.zeros(0), geometry)
+        return BeamColumns(
+            ends, none.astype(np.bool_), none, ends, none, np.zeros(0), twists, geometry
+        )
     angles = scans.angles if len(scans.angles) else np.zeros(1)
     spacing = (angles[-1] - angles[0]) / max(len(angles) - 1, 1)
     return BeamColumns(
@@ -54,8 +62,15 @@ def beam_columns(scans: Scans | None, m: int) -> BeamColumns:
         plain(scans.origins),
         plain(scans.directions),
         np.zeros(0) if scans.after is None else plain(scans.after),
+        twists,
         Geometry(plain(scans.laser), float(angles[0]), float(spacing)),
     )
+
+
+@kernel
+def beams_of(beams: BeamColumns, k: int) -> tuple[Array, Array, Array, Array]:
+    """Return what is de-skewed of sweep k; see `deskew`."""
+    return beams.points[k], beams.origins[k], beams.directions[k], beams.after
 
 
 @kernel

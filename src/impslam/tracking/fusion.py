@@ -14,6 +14,8 @@ from impslam.types import Array
 MIN_MOTION = (0.05, 0.04)
 """m, rad: motion by odometry after which a scan is matched. Matching closer scans gains nothing, and
 matching every 10 cm costs a fifth of the accuracy."""
+MIN_SLIP = (0.1, 0.025)
+"""m, rad: a smaller difference from odometry is no slip, however certain odometry is."""
 MIN_SIGMA = 1e-4
 """m, rad: smallest standard deviation of a match."""
 SPEED_SIGMA, RATE_SIGMA = 0.3, 0.6

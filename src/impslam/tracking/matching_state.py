@@ -71,7 +71,8 @@ class State(NamedTuple):
     ----------
     submaps, odometry : the last metres, and the learned bias and noise of odometry
     pose, matched : (3,) in the frame of the submaps: now, and at the newest match
-    motion, covariance : (3,), (3, 3) by odometry since the newest match
+    motion, covariance : (3,), (3, 3) by odometry since the newest match, without its learned bias
+    reported : (1,) rad, the turn of that motion with the bias
     error : (3, 3) covariance of `matched` in the submaps, as far as it differs from that of the newest
         keyframe; without `drift`
     travelled : (3,) m, rad and s of that motion
@@ -102,6 +103,7 @@ class State(NamedTuple):
     matched: Array
     motion: Array
     covariance: Array
+    reported: Array
     error: Array
     travelled: Array
     stamp: Array

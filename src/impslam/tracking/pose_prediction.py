@@ -49,6 +49,7 @@ def predict(motions: Motions, k: int, state: State, d_pose: Array) -> bool:
         covariance[0, 0], covariance[1, 1], covariance[2, 2] = position, position, heading
     else:
         d_pose[:] = motions.d_pose[k]
+        state.reported[0] += d_pose[2]
         correct(state.odometry, d_pose)
     state.travelled[DISTANCE] += math.hypot(d_pose[0], d_pose[1])
     state.travelled[TURN] += abs(d_pose[2])

@@ -8,6 +8,7 @@ from impslam.geometry.chain import advance_pose
 from impslam.geometry.kernels import kernel
 from impslam.surfaces.features import Features
 from impslam.surfaces.surface_map import Alignment, SurfaceMap, align, no_evidence
+from impslam.tracking.fusion import MIN_SLIP
 from impslam.tracking.hypotheses import (
     SLIP_SIGMAS,
     PosePrediction,
@@ -22,8 +23,6 @@ from impslam.tracking.reference_scan import LastScan
 from impslam.tracking.submaps import older_map
 from impslam.types import Array
 
-MIN_SLIP = (0.1, 0.025)
-"""m, rad: a smaller difference from odometry is no slip, however certain odometry is."""
 SEARCH_BELOW = 0.7
 """Share of the mean inlier share below which the pose is searched for."""
 USUAL_SHARE = 0.8

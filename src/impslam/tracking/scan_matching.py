@@ -14,12 +14,12 @@ import numpy as np
 from impslam.columns import Motions
 from impslam.geometry.algebra import between, rotate_covariance
 from impslam.geometry.angles import wrap_in_kernel
-from impslam.geometry.chain import advance, advance_pose
+from impslam.geometry.chain import advance
 from impslam.geometry.kernels import kernel
 from impslam.health import ELSEWHERE, UNEXPLAINED
-from impslam.surfaces.features import Features, leave_out_oblique
+from impslam.surfaces.features import Features
 from impslam.tracking.base import Gate, Steps, add_travel, reaches_limit
-from impslam.tracking.beams import BeamColumns, find_beam_features
+from impslam.tracking.beams import BeamColumns
 from impslam.tracking.carried import begin_place, notice_carried
 from impslam.tracking.contradictions import (
     CLEARANCE,
@@ -27,9 +27,15 @@ from impslam.tracking.contradictions import (
     contradicted_share,
     shows_surfaces,
 )
+from impslam.tracking.deskewing_by_match import (
+    MIN_POINTS,
+    deskew_alone,
+    deskew_slip,
+    find_matched_features,
+)
 from impslam.tracking.due import is_due
 from impslam.tracking.frozen import notice_frozen
-from impslam.tracking.fusion import RATE_SIGMA, coast, fuse
+from impslam.tracking.fusion import coast, fuse
 from impslam.tracking.hypotheses import MAX_SLIP, SLIP_SIGMAS
 from impslam.tracking.intervals import add_interval, is_gap
 from impslam.tracking.learned_odometry import learn
@@ -65,20 +71,15 @@ from impslam.tracking.matching_state import (
     State,
 )
 from impslam.tracking.pose_prediction import predict
-from impslam.tracking.pose_search import SEARCH_BELOW, USUAL_SHARE, find_pose
+from impslam.tracking.pose_search import USUAL_SHARE, find_pose
 from impslam.tracking.reference_scan import LastScan
-from impslam.tracking.self_deskewing import deskew, set_twist
 from impslam.tracking.stall import IS_STALLED
 from impslam.tracking.stalled import predict_stalled, report_stalled, set_reference_pose
 from impslam.tracking.submaps import confirmed_surfels, extend, is_empty
 
-MIN_POINTS = 10
-"""Points; a scan with fewer is not matched."""
 MAX_NEW_VIEW = 0.14
 """Share of the view that a turn may show anew before a scan is added to the submaps: 0.14 rad of a depth
 camera's 57 deg. Above 164 deg, `Settings.turn` is less."""
-TURN_CHANGES = (0.0, 1.0, -1.0, 2.0, -2.0)
-"""Multiples of `RATE_SIGMA` by which the turn rate may have changed since the last sweep."""
 MAX_LOCATED_SIGMA = 0.02
 """m, 1 sigma: a scan locates the robot if it alone determines the position better than this, or better than
 odometry does."""
@@ -139,9 +140,12 @@ def _use_scan(
     features = np.empty((beams.points.shape[1], 5), np.float32)
     # An error of the heading at the last match has moved the position since.
     advance(state.matched.copy(), state.error, state.motion, np.zeros((3, 3)))
-    if no_odometry and not state.frozen.is_frozen[0] and len(beams.after):
-        _deskew(k, motions.duration[k], beams, state, settings, features)
-    count = _find_features(beams, k, no_odometry, settings, features)
+    if len(beams.after) and not state.frozen.is_frozen[0]:
+        if no_odometry:
+            deskew_alone(k, motions.duration[k], beams, state, settings, features)
+        else:
+            deskew_slip(k, beams, state, settings, features)
+    count = find_matched_features(beams, k, no_odometry, settings, features)
     if count < MIN_POINTS:
         state.submaps.travelled[0] += state.travelled[DISTANCE]
     else:
@@ -159,54 +163,7 @@ def _use_scan(
     out.reference[k] = True
     set_reference_pose(state)
     state.matched[:] = state.pose
-    state.motion[:], state.covariance[:], state.travelled[:] = 0.0, 0.0, 0.0
-
-
-@kernel
-def _deskew(
-    k: int, seconds: float, beams: BeamColumns, state: State, settings: Settings, features: Features
-) -> None:
-    """De-skew sweep k, `seconds` after the last one, with the twist that its first match shows.
-
-    For that match it is de-skewed with the last velocity. Where a turn begins within a sweep, the beams
-    before may fit as if there was none, so other turn rates are tried if the sweep fits poorly. `features`
-    are overwritten.
-    """
-    parts = beams.points[k], beams.origins[k], beams.directions[k], beams.after
-    twist, known, motion = np.zeros(3), np.zeros(3), state.velocity.copy()
-    guess, means, best = state.pose.copy(), state.averages.copy(), -1.0
-    last = _last_scan(beams, state, True)
-    for change in TURN_CHANGES:
-        if is_empty(state.submaps) or best > SEARCH_BELOW * means[SHARE]:
-            break
-        trial = state.velocity.copy()
-        trial[2] += change * RATE_SIGMA * seconds
-        set_twist(trial, trial, seconds, beams.after, twist)
-        deskew(parts, twist, known)
-        known[:] = twist
-        count = _find_features(beams, k, True, settings, features)
-        if count < MIN_POINTS:
-            return
-        state.pose[:] = state.matched
-        advance_pose(state.pose, trial)
-        share = find_pose(features[:count], last, state, settings, np.empty((3, 3)), np.empty(3))
-        if share > best:
-            best = share
-            between(state.matched, state.pose, motion)
-        state.pose[:], state.averages[:] = guess, means
-    set_twist(motion, state.velocity, seconds, beams.after, twist)
-    deskew(parts, twist, known)
-
-
-@kernel
-def _find_features(
-    beams: BeamColumns, k: int, no_odometry: bool, settings: Settings, out: Features
-) -> int:
-    """Fill `out` with the features of sweep k to match; return their number."""
-    count = find_beam_features(beams, k, settings.thin, settings.smooth, out)
-    if no_odometry:
-        count = leave_out_oblique(out[:count])
-    return count
+    state.motion[:], state.covariance[:], state.travelled[:], state.reported[0] = 0.0, 0.0, 0.0, 0.0
 
 
 @kernel

@@ -87,6 +87,7 @@ class ScanToMap(Tracker):
             matched=np.zeros(3),
             motion=np.zeros(3),
             covariance=np.zeros((3, 3)),
+            reported=np.zeros(1),
             error=np.zeros((3, 3)),
             travelled=np.zeros(3),
             stamp=np.full(1, np.nan),
@@ -126,7 +127,7 @@ class ScanToMap(Tracker):
 
     def steps(self, motions: Motions, sweeps: Sweeps, gate: Gate) -> Steps:
         """Match each sweep with the submaps; see `Tracker.steps`."""
-        beams = beam_columns(sweeps.scans, len(sweeps))
+        beams = beam_columns(sweeps.scans, len(sweeps), sweeps.twists)
         lidar = self._seen.get(sweeps.sensor, beams.ranges.shape[1])
         self._state.faults.offsets.changed[0] |= self._sensor not in ("", sweeps.sensor)
         self._sensor = sweeps.sensor

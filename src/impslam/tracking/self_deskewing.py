@@ -1,4 +1,4 @@
-"""De-skew the sweeps of a robot without odometry, by the motion that scan matching finds.
+"""De-skew the sweeps of a robot, by the motion that scan matching finds.
 
 A turn by 1 rad/s rotates the end of a sweep of 0.18 s against its beginning by 10 deg. The robot speeds up
 and brakes from sweep to sweep, so the twist follows from the motion to a first match of the sweep,
@@ -16,17 +16,20 @@ import numpy as np
 from impslam.columns import Motions, Sweeps
 from impslam.geometry.kernels import kernel
 from impslam.noise import LEAST_UNKNOWN
-from impslam.tracking.fusion import RATE_SIGMA, SPEED_SIGMA
+from impslam.tracking.fusion import MIN_MOTION, MIN_SLIP, RATE_SIGMA, SPEED_SIGMA
 from impslam.types import Array, Mask
 
 TWIST_CHANGE = np.diag(np.square([SPEED_SIGMA, SPEED_SIGMA, RATE_SIGMA]))
 """(m/s)^2, (m/s)^2, (rad/s)^2: covariance of the change of velocity from sweep to sweep."""
 
+MAX_TURN_RATIO = 2.0
+"""Largest ratio of a turn to that of odometry: wheels that are dragged report at least half of it."""
 
-def writable(motions: Motions, sweeps: Sweeps) -> Sweeps:
-    """Return sweeps that a tracker may de-skew in place: copies, if any motion is unknown."""
+
+def writable(sweeps: Sweeps) -> Sweeps:
+    """Return sweeps that a tracker may de-skew in place: copies, if they need it."""
     scans = sweeps.scans
-    if scans is None or scans.after is None or not unknown(motions.covariance).any():
+    if scans is None or scans.after is None:
         return sweeps
     points, origins = np.array(scans.points), np.array(scans.origins)
     directions = np.array(scans.directions)
@@ -35,14 +38,21 @@ def writable(motions: Motions, sweeps: Sweeps) -> Sweeps:
 
 
 def with_stamps(motions: Motions, sweeps: Sweeps, moved: Array) -> Sweeps:
-    """Return sweeps with the motions from their middles to their stamps, where odometry measures none.
+    """Return sweeps with the motions from their middles to their stamps as the scans show them.
 
-    `moved` (m, 3) are the tracked motions from the middle of the previous sweep to that of each. Between a
-    middle and a stamp, the velocity may differ from it as much as from sweep to sweep.
+    `moved` (m, 3) are the tracked motions from the middle of the previous sweep to that of each. Where
+    odometry turns more or less than the robot, its turns are scaled. Where it measures nothing, the
+    velocity between a middle and a stamp may differ from the tracked one as much as from sweep to sweep.
     """
     scans, alone = sweeps.scans, unknown(motions.covariance)
-    if scans is None or scans.after is None or not alone.any():
+    if scans is None or scans.after is None:
         return sweeps
+    T_middle_stamp = sweeps.T_middle_stamp.copy()
+    turns = motions.d_pose[:, 2]
+    slipped = ~alone & (np.abs(turns) >= MIN_MOTION[1])
+    slipped &= np.abs(moved[:, 2] - turns) >= MIN_SLIP[1]
+    ratios = moved[slipped, 2] / turns[slipped]
+    T_middle_stamp[slipped, 2] *= np.clip(ratios, 0.0, MAX_TURN_RATIO)
     span = float(np.ptp(scans.after))
     after = sweeps.columns.stamps - sweeps.middles
     after[~alone | (np.abs(after) > span)] = 0.0  # beyond: the clock was set
@@ -50,7 +60,7 @@ def with_stamps(motions: Motions, sweeps: Sweeps, moved: Array) -> Sweeps:
     covariance = sweeps.stamp_covariance.copy()
     known = (after != 0.0) & (motions.duration > 0.0)
     covariance[known] = np.square(after[known])[:, None, None] * TWIST_CHANGE
-    T_middle_stamp = sweeps.T_middle_stamp + share[:, None] * moved
+    T_middle_stamp += share[:, None] * moved
     return replace(sweeps, T_middle_stamp=T_middle_stamp, stamp_covariance=covariance)
 
 

@@ -3,6 +3,7 @@
     python benchmarks/random_buildings.py --seeds 0 100               # 5 minutes on 2 cores
     python benchmarks/random_buildings.py --seeds 0 100 --lost 0.3    # 30 % of the beams lost
     python benchmarks/random_buildings.py --seeds 0 50 --cameras      # depth cameras instead of lidars
+    python benchmarks/random_buildings.py --seeds 0 40 --turn-rate 2.5    # robots that turn fast
 
 A building has 2 to 4 rows of 2 to 4 rooms or corridors, with doors, furniture and people who walk in the
 rooms. The robot visits all of them, with one of six lidars, mounted anywhere and at any angle, and wheels
@@ -44,6 +45,7 @@ from impslam.sources.recording import McapWriter
 from impslam.types import Array, TruePose
 
 CHI2_99 = 11.34  # three degrees of freedom
+TURN_ACCELERATION = 15.0  # rad/s^2, of robots that turn fast: a turn begins within a sweep
 CLEARANCE = 0.55  # m from the middle of the robot's path to furniture
 LIDARS = {
     "120 beams over 360°, 8 m, 7 Hz": Lidar(
@@ -266,10 +268,20 @@ class Drive(NamedTuple):
     lost: int
 
 
-def drive(seed: int, lidars: dict[str, Lidar] = LIDARS, lost: float | None = None) -> Drive:
-    """Simulate a drive and map it; see `random_robot`."""
+def drive(
+    seed: int,
+    lidars: dict[str, Lidar] = LIDARS,
+    lost: float | None = None,
+    turn_rate: float | None = None,
+) -> Drive:
+    """Simulate a drive and map it; see `random_robot`. `turn_rate` in rad/s replaces the robot's own."""
     rng = np.random.default_rng(seed)
     world, (name, robot) = random_world(rng), random_robot(rng, lidars, lost)
+    if turn_rate is not None:
+        plan = world.robot.model_copy(
+            update={"turn_rate": turn_rate, "turn_acceleration": TURN_ACCELERATION}
+        )
+        world = world.model_copy(update={"robot": plan})
     is_alone, true = rng.random() < 0.25, []
     with tempfile.TemporaryDirectory() as folder:
         log, config = Path(folder) / "log.mcap", Path(folder) / "robot.toml"
@@ -319,8 +331,10 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--lost", type=float, help="share of the beams lost at random")
     parser.add_argument("--cameras", action="store_true", help="depth cameras instead of lidars")
+    parser.add_argument("--turn-rate", type=float, help="of all robots, rad/s")
     asked = parser.parse_args()
-    one_drive = partial(drive, lidars=CAMERAS if asked.cameras else LIDARS, lost=asked.lost)
+    lidars = CAMERAS if asked.cameras else LIDARS
+    one_drive = partial(drive, lidars=lidars, lost=asked.lost, turn_rate=asked.turn_rate)
     found: dict[str, list[Drive]] = defaultdict(list)
     with get_context("spawn").Pool(asked.jobs) as pool:
         for one in pool.imap_unordered(one_drive, range(*asked.seeds)):

@@ -221,7 +221,7 @@ class Tracker(Component):
         self._systematic = systematic or [None] * len(sweeps)
         travelled = self._travelled.setdefault(sweeps.sensor, np.full(3, math.inf))
         sweeps, wrong, amounts, unmeasured = self._screening.screen(motions, sweeps, self._problems)
-        sweeps = writable(sweeps)
+        sweeps = writable(sweeps) if self.matches_scans else sweeps
         steps = self.steps(motions, sweeps, Gate(self._limits, travelled))
         steps.reasons[_contradicted(steps.reasons) & unmeasured] = UNMEASURED
         steps.reasons[_contradicted(steps.reasons) & unknown(motions.covariance)] = JUMPED

@@ -18,7 +18,7 @@ from impslam.tracking.beams import BeamColumns, beams_of, find_beam_features
 from impslam.tracking.fusion import MIN_MOTION, MIN_SLIP, RATE_SIGMA
 from impslam.tracking.hypotheses import SLIP_SIGMAS
 from impslam.tracking.matching_state import SHARE, Settings, State
-from impslam.tracking.pose_search import SEARCH_BELOW, find_pose
+from impslam.tracking.pose_search import SEARCH_BELOW, find_pose, prior_information
 from impslam.tracking.reference_scan import LastScan
 from impslam.tracking.self_deskewing import MAX_TURN_RATIO, deskew, set_twist
 from impslam.tracking.submaps import is_empty, older_map
@@ -77,31 +77,28 @@ def deskew_alone(
 
 @kernel
 def deskew_slip(
-    k: int, beams: BeamColumns, state: State, settings: Settings, features: Features
-) -> None:
+    k: int, count: int, beams: BeamColumns, state: State, settings: Settings, features: Features
+) -> int:
     """De-skew sweep k anew if the robot turns more or less than odometry reports.
 
-    `features` are overwritten.
+    The `features`, of which there are `count`, are then found again; return their number.
     """
     reported = state.reported[0]
-    if is_empty(state.submaps) or abs(reported) < MIN_MOTION[1]:
-        return
-    count = find_matched_features(beams, k, False, settings, features)
-    if count < MIN_POINTS:
-        return
+    if is_empty(state.submaps) or count < MIN_POINTS or abs(reported) < MIN_MOTION[1]:
+        return count
     turned = state.motion[2] + _turn_error(features[:count], state, settings)
     if abs(turned - reported) < MIN_SLIP[1]:
-        return
+        return count
     twist = beams.twists[k].copy()
     twist[2] *= min(max(turned / reported, 0.0), MAX_TURN_RATIO)
     deskew(beams_of(beams, k), twist, beams.twists[k])
+    return find_matched_features(beams, k, False, settings, features)
 
 
 @kernel
 def _turn_error(features: Features, state: State, settings: Settings) -> float:
     """Return how much more the robot has turned than predicted, by a match of the features, rad."""
-    position, heading = state.prior + state.slip
-    prior = np.array([1.0 / position, 1.0 / position, 1.0 / heading])
+    prior = prior_information(state.prior + state.slip)
     how, pose = settings.match, state.pose.copy()
     match = Alignment(
         how.iterations, how.wide, how.narrow, how.information, how.step, SLIP_SIGMAS**2

@@ -17,7 +17,7 @@ from impslam.tracking.hypotheses import (
     is_expected,
     search,
 )
-from impslam.tracking.matching_state import HEADING, POSITION, SHARE, SQUARE, Settings, State
+from impslam.tracking.matching_state import SHARE, SQUARE, Settings, State
 from impslam.tracking.reach import is_after_gap
 from impslam.tracking.reference_scan import LastScan
 from impslam.tracking.submaps import older_map
@@ -53,7 +53,7 @@ def find_pose(
     """
     submap, usual = older_map(state.submaps), state.averages[SHARE]
     position, heading = state.prior + state.slip
-    prior = _information(position, heading)
+    prior = prior_information(state.prior + state.slip)
     slack2 = max(SLIP_SIGMAS**2, min(MIN_SLIP[0] ** 2 / position, MIN_SLIP[1] ** 2 / heading))
     weight = settings.match.information * min(1.0, max(usual, 0.05) / USUAL_SHARE) ** 4
     weight *= min(1.0, USUAL_RMS**2 / state.averages[SQUARE])
@@ -101,8 +101,9 @@ def _usable_share(
 
 
 @kernel
-def _information(position: float, heading: float) -> Array:
-    """Return the information (3,) of a pose from the variances along each axis and of its heading."""
+def prior_information(variances: Array) -> Array:
+    """Return the information (3,) of a pose from its variances (2,), along each axis and of its heading."""
+    position, heading = variances
     return np.array([1.0 / position, 1.0 / position, 1.0 / heading])
 
 
@@ -110,7 +111,7 @@ def _information(position: float, heading: float) -> Array:
 def _predictions(state: State, last_scan: LastScan) -> PosePrediction:
     """Return the predicted poses of a scan."""
     pose, usual = state.pose.copy(), state.averages[SHARE]
-    prior = _information(state.prior[POSITION], state.prior[HEADING])
+    prior = prior_information(state.prior)
     if is_after_gap(state):
         return PosePrediction(pose, prior, pose, pose, usual, last_scan)
     extrapolated = state.matched.copy()

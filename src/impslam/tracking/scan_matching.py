@@ -140,12 +140,11 @@ def _use_scan(
     features = np.empty((beams.points.shape[1], 5), np.float32)
     # An error of the heading at the last match has moved the position since.
     advance(state.matched.copy(), state.error, state.motion, np.zeros((3, 3)))
-    if len(beams.after) and not state.frozen.is_frozen[0]:
-        if no_odometry:
-            deskew_alone(k, motions.duration[k], beams, state, settings, features)
-        else:
-            deskew_slip(k, beams, state, settings, features)
+    if no_odometry and not state.frozen.is_frozen[0] and len(beams.after):
+        deskew_alone(k, motions.duration[k], beams, state, settings, features)
     count = find_matched_features(beams, k, no_odometry, settings, features)
+    if not no_odometry and len(beams.after):
+        count = deskew_slip(k, count, beams, state, settings, features)
     if count < MIN_POINTS:
         state.submaps.travelled[0] += state.travelled[DISTANCE]
     else:

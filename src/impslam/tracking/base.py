@@ -33,7 +33,7 @@ from impslam.noise import SystematicErrors
 from impslam.parameters import Parameters
 from impslam.sources.base import Problems
 from impslam.tracking.screening import Screening
-from impslam.tracking.self_deskewing import unknown, with_stamps, writable
+from impslam.tracking.sweep_twist import unknown, with_stamps, writable
 from impslam.types import Array, ErrorEstimate, Increment, Mask, SystematicPart
 
 _CONTRADICTED = (

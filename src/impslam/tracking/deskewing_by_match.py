@@ -20,8 +20,8 @@ from impslam.tracking.hypotheses import SLIP_SIGMAS
 from impslam.tracking.matching_state import SHARE, Settings, State
 from impslam.tracking.pose_search import SEARCH_BELOW, find_pose, prior_information
 from impslam.tracking.reference_scan import LastScan
-from impslam.tracking.self_deskewing import MAX_TURN_RATIO, deskew, set_twist
 from impslam.tracking.submaps import is_empty, older_map
+from impslam.tracking.sweep_twist import MAX_TURN_RATIO, deskew, set_twist
 
 MIN_POINTS = 10
 """Points; a scan with fewer is not matched."""

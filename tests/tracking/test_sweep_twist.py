@@ -19,7 +19,7 @@ from impslam.simulation.simulate import simulate
 from impslam.simulation.world import World, load_world
 from impslam.sources.recording import McapWriter
 from impslam.studies.fault_scores import LiveRecorder
-from impslam.tracking.self_deskewing import deskew, set_twist, with_stamps
+from impslam.tracking.sweep_twist import deskew, set_twist, with_stamps
 from impslam.types import Increment, TruePose
 
 BEAMS, PERIOD = 360, 1.0 / 5.5

@@ -1,4 +1,4 @@
-"""De-skew the sweeps of a robot, by the motion that scan matching finds.
+"""Move the beams of a sweep by a twist that scan matching finds, and find that twist.
 
 A turn by 1 rad/s rotates the end of a sweep of 0.18 s against its beginning by 10 deg. The robot speeds up
 and brakes from sweep to sweep, so the twist follows from the motion to a first match of the sweep,

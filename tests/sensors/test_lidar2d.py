@@ -43,6 +43,12 @@ def test_mount_carries_points_into_base_link(upside_down):
     np.testing.assert_allclose(scan.origins, np.tile(mount[:2], (3, 1)))
 
 
+@pytest.mark.parametrize("mount", [(145.0, 0.0, 0.0), (0.0, -1e5, 0.0)])
+def test_a_mount_in_millimetres_or_in_a_map_is_refused(mount):
+    with pytest.raises(ValidationError, match="within 20 m of base_link"):
+        Lidar2D(mount=mount)
+
+
 def test_a_laser_upside_down_is_one_that_scans_the_other_way():
     angles, rng = np.linspace(-1.0, 2.0, 40), np.random.default_rng(5)
     ranges, mount = rng.uniform(0.5, 4.0, 40), (0.2, -0.1, 0.7)

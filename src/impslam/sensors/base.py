@@ -3,13 +3,27 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import ClassVar
+from typing import Annotated, ClassVar, TypeAlias
 
 import numpy as np
+from pydantic import AfterValidator
 
 from impslam.columns import Columns, Scans, Sweeps
 from impslam.component import Component, parameter
 from impslam.types import Array, Mask, Message, Observation
+
+MAX_OFFSET = 20.0
+"""m: no vehicle carries a sensor farther from its wheels; it may be in millimetres, or a pose in a map."""
+
+
+def _is_on_vehicle(mount: tuple[float, float, float]) -> tuple[float, float, float]:
+    if max(abs(mount[0]), abs(mount[1])) > MAX_OFFSET:
+        raise ValueError(f"must be within {MAX_OFFSET:g} m of base_link (metres, not millimetres)")
+    return mount
+
+
+Mount: TypeAlias = Annotated[tuple[float, float, float], AfterValidator(_is_on_vehicle)]
+"""Pose [x, y, yaw] of a sensor in base_link, m and rad."""
 
 
 class Sensor(Component):

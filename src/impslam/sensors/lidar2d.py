@@ -12,7 +12,7 @@ from impslam.columns import Columns, Scans, Sweeps, single_row
 from impslam.component import build, parameter, register
 from impslam.extractors.base import Extractor
 from impslam.geometry.kernels import plain
-from impslam.sensors.base import Sensor
+from impslam.sensors.base import Mount, Sensor
 from impslam.sensors.clock import SweepClock
 from impslam.sensors.deskewing import RangeCalibration, deskew_sweeps
 from impslam.types import Array, LaserScan, Mask, Message, Observation, Scan, range_limits
@@ -24,7 +24,7 @@ class Lidar2D(Sensor):
 
     consumes: ClassVar[type[Message]] = LaserScan
 
-    mount: tuple[float, float, float] = parameter(
+    mount: Mount = parameter(
         (0.0, 0.0, 0.0), "m, m, rad", "pose [x, y, yaw] of the laser in base_link"
     )
     upside_down: bool = parameter(False, "", "the laser is mounted with its z axis pointing down")

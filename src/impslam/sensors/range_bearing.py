@@ -20,7 +20,7 @@ from impslam.columns import Columns, Sweeps
 from impslam.component import parameter, register
 from impslam.geometry.polar import to_cartesian
 from impslam.geometry.se2 import rotation, transform
-from impslam.sensors.base import Sensor
+from impslam.sensors.base import Mount, Sensor
 from impslam.types import Array, Detections, Mask, Message, Observation
 
 
@@ -30,7 +30,7 @@ class RangeBearing(Sensor):
 
     consumes: ClassVar[type[Message]] = Detections
 
-    mount: tuple[float, float, float] = parameter(
+    mount: Mount = parameter(
         (0.0, 0.0, 0.0), "m, m, rad", "pose [x, y, yaw] of the sensor in base_link"
     )
     landmark: str = parameter("point", "", "kind of landmark that it detects")

@@ -20,13 +20,19 @@ MAX_JITTER_RATIO = 0.8
 """Ratio of the turns' residuals with smoothed stamps to those with the log's, below which the log's stamps
 jitter: with a hundred turns this does not happen by chance (F-test, 1e-3)."""
 
+MIN_REGULAR_STEP, SHORT_STEPS = 0.75, 0.1
+"""Share of the median time between scans, and share of the times that is below it only if stamps jitter.
+Lost scans make times longer, never shorter."""
+SPAN = 10
+"""Scans over which irregular times are averaged: jitter of half a period is then 5 % of it."""
+
 
 class Timing(NamedTuple):
     """When scans were taken.
 
     Attributes
     ----------
-    period : s, median time between scans; 0 if unknown
+    period : s, time between scans, see `scan_period`; 0 if unknown
     lag : lag of the scans by the stamps of the log; None if it cannot be determined
     smooth : the same with stamps of a steady rate
     is_late : whether the lag differs from the config by more than `tolerance`
@@ -63,6 +69,23 @@ def no_timing(motion: SweepMotions) -> Timing:
     return Timing(0.0, None, None, False, MAX_LAG_ERROR, 0.0, motion.stamps)
 
 
+def scan_period(stamps: Array) -> float:
+    """Return the usual time between scans with these stamps (m,), s; 0 if unknown.
+
+    It is the median, as scans may be lost, unless stamps jitter: drivers that poll a serial line stamp
+    scans of 0.2 s up to 0.1 s late, so that every other time is short.
+    """
+    steps = np.diff(stamps)
+    steps = steps[steps > 0.0]
+    if not len(steps):
+        return 0.0
+    period = float(np.median(steps))
+    is_regular = np.quantile(steps, SHORT_STEPS) > MIN_REGULAR_STEP * period
+    if is_regular or len(stamps) <= SPAN:
+        return period
+    return max(float(np.median(stamps[SPAN:] - stamps[:-SPAN])) / SPAN, 0.0)
+
+
 def estimate_timing(
     motion: SweepMotions, odometer: Odometer, lidar: Lidar2D, disorder: float
 ) -> Timing:
@@ -71,8 +94,7 @@ def estimate_timing(
     `disorder` is the amount by which the stamps of the log run back, s rms; above `MAX_DISORDER` the times
     must be those of `reorder_stamps`.
     """
-    steps, tolerance = np.diff(motion.stamps), max(MAX_LAG_ERROR, disorder)
-    period = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
+    period, tolerance = scan_period(motion.stamps), max(MAX_LAG_ERROR, disorder)
     raw = estimate_lag(motion, odometer) if len(odometer.stamps) and period else None
     if raw is None:
         return Timing(period, None, None, False, tolerance, 0.0, motion.stamps - lidar.latency)

@@ -7,7 +7,7 @@ from impslam.geometry.se2 import compose
 from impslam.surfaces.features import Sampling, find_features
 from impslam.surfaces.surface_map import add, empty_surface_map
 from impslam.tracking.beams import Geometry
-from impslam.tracking.contradictions import MIN_CONTRADICTED, contradicted_share
+from impslam.tracking.contradictions import MIN_CONTRADICTED, contradicted_share, shows_surfaces
 from impslam.tracking.reference_scan import LastScan
 
 ROOM = [
@@ -44,25 +44,25 @@ def scan_at(pose, walls=WORLD):
     return np.where((t > 0) & (u >= 0) & (u <= 1), t, np.inf).min(axis=1)
 
 
+def features_of(ranges):
+    directions = np.stack((np.cos(ANGLES), np.sin(ANGLES)), axis=-1)
+    origins = np.tile(GEOMETRY.laser[:2], (BEAMS, 1))
+    points, found = origins + ranges[:, None] * directions, np.empty((BEAMS, 5), np.float32)
+    everything, sampling = np.ones(BEAMS, bool), Sampling(SPACING, 0.04, smooth=True)
+    return found[: find_features(points, everything, ranges, origins, sampling, found)]
+
+
 def contradicted(poses, pose, seen=None, valid=None, before=WORLD):
     """Return the share of a scan, seen at one pose and placed at another, after scans at some poses.
 
     Those before show the walls `before`.
     """
     surface_map = empty_surface_map(60.0, 60.0, 10_000)
-    everything = np.ones(BEAMS, bool)
     for place in poses:
-        ranges = scan_at(place, before)
-        directions = np.stack((np.cos(ANGLES), np.sin(ANGLES)), axis=-1)
-        origins = np.tile(GEOMETRY.laser[:2], (BEAMS, 1))
-        points, found = origins + ranges[:, None] * directions, np.empty((BEAMS, 5), np.float32)
-        n = find_features(
-            points, everything, ranges, origins, Sampling(SPACING, 0.04, smooth=True), found
-        )
-        add(surface_map, found[:n], np.array(place, float), 20.0)
+        add(surface_map, features_of(scan_at(place, before)), np.array(place, float), 20.0)
     return contradicted_share(
         scan_at(pose if seen is None else seen),
-        everything if valid is None else valid,
+        np.ones(BEAMS, bool) if valid is None else valid,
         np.array(pose, float),
         surface_map.surfels[: surface_map.size[0]],
         LastScan(scan_at(poses[-1], before), np.array(poses[-1], float), GEOMETRY),
@@ -137,3 +137,13 @@ def test_beams_of_one_direction_contradict_nothing():
         np.array([2.0]), np.ones(1, bool), np.zeros(3), np.zeros((0, 8)), last
     )
     assert share == 0.0
+
+
+def test_noise_shows_no_surfaces_and_few_beams_on_jagged_walls_do():
+    """Every fifth point is on a wall; the others are on shelves and people at any distance before it."""
+    rng = np.random.default_rng(2)
+    clean, noise = scan_at((0.0, 0.0, 0.0)), rng.uniform(0.3, 5.0, BEAMS)
+    assert shows_surfaces(features_of(clean))
+    assert not shows_surfaces(features_of(noise))
+    on_wall = np.repeat(rng.random(BEAMS // 10 + 1) < 0.2, 10)[:BEAMS]
+    assert shows_surfaces(features_of(np.where(on_wall, clean, np.minimum(noise, clean))))

@@ -27,16 +27,16 @@ def fit(share, points=100.0, off=STILL):
     return MatchQuality(points, share, off)
 
 
-def check_fit(faults, fit, usual, duration):
+def check_fit(faults, fit, usual, duration, distance=0.0):
     if fits_poorly(faults, fit, usual):
-        return add_misfit(faults, duration)
+        return add_misfit(faults, duration, distance)
     add_fit(faults, fit, usual)
     return NONE
 
 
-def judged(shares, period=0.2):
+def judged(shares, period=0.2, distance=0.0):
     faults = initial_faults()
-    return [check_fit(faults, fit(share), USUAL, period) for share in shares]
+    return [check_fit(faults, fit(share), USUAL, period, distance) for share in shares]
 
 
 def test_one_poor_fit_is_unexplained_and_three_are_another_place():
@@ -52,6 +52,11 @@ def test_one_poor_fit_is_unexplained_and_three_are_another_place():
 
 def test_another_place_is_reported_if_stamps_stand_still():
     assert judged([0.1] * 25, period=0.0).index(ELSEWHERE) == 19
+
+
+def test_another_place_is_reported_after_a_few_metres_if_stamps_stand_still():
+    assert judged([0.1] * 25, period=0.0, distance=1.1).index(ELSEWHERE) == 2
+    assert judged([0.1] * 25, period=0.0, distance=0.3).index(ELSEWHERE) == 7
 
 
 @pytest.mark.parametrize("period", [0.02, 0.1, 0.2, 0.5])

@@ -43,6 +43,9 @@ NEAR_ODOMETRY = 0.15, 0.1
 MIN_POOR_SCANS, MAX_POOR_SCANS = (3, 0.4), 20
 """Scans and s of poor fit that mean another place, since scans that people occlude one after another fit in
 between; and scans that do so in any case, because the stamps of some logs stand still."""
+MAX_SPEED = 5.0
+"""m/s: a distance takes at least the time at this speed, also where stamps stand still. Robots in buildings
+are slower."""
 MEMORY = 0.02, 0.05
 """Weights of the newest scan in the mean of many scans and in the variance: 50 scans, the kind of place;
 20 scans, one view."""
@@ -83,7 +86,8 @@ class MatchFaults(NamedTuple):
 
     Attributes
     ----------
-    poor : (2,) scans in a row that do not fit, and s since the first of them
+    poor : (2,) scans in a row that do not fit, and s since the first of them, or more if the robot has gone
+        farther than it can in that time
     shares : (2,) mean of the inlier share of many scans, and its variance
     odometry, scans : (4,) by odometry and by the scans: m travelled and rad turned either way within
         `WINDOW`, m forward within `LONG_WINDOW`, and rad turned to the left within `WINDOW`
@@ -160,9 +164,12 @@ def add_fit(faults: MatchFaults, fit: MatchQuality, usual: float) -> None:
 
 
 @kernel
-def add_misfit(faults: MatchFaults, duration: float) -> int:
-    """Update with a scan that does not fit, `duration` s after the last; return the reason."""
-    faults.poor[1] += duration if faults.poor[0] > 0.0 else 0.0
+def add_misfit(faults: MatchFaults, duration: float, distance: float) -> int:
+    """Update with a scan that does not fit; return the reason.
+
+    It comes `duration` s and `distance` m after the last one.
+    """
+    faults.poor[1] += max(duration, distance / MAX_SPEED) if faults.poor[0] > 0.0 else 0.0
     faults.poor[0] += 1.0
     few = faults.poor[0] < MIN_POOR_SCANS[0] or faults.poor[1] < MIN_POOR_SCANS[1]
     if few and faults.poor[0] < MAX_POOR_SCANS:

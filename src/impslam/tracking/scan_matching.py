@@ -221,7 +221,8 @@ def _match(
     fit = MatchQuality(state.evidence.sums[0], share, off)
     poor = fits_poorly(state.faults, fit, usual)
     if poor and (not shows_surfaces(features) or _contradicts(beams, k, state, no_odometry)):
-        out.reasons[k], out.amounts[k] = add_misfit(state.faults, state.travelled[SECONDS]), share
+        distance, seconds = state.travelled[DISTANCE], state.travelled[SECONDS]
+        out.reasons[k], out.amounts[k] = add_misfit(state.faults, seconds, distance), share
         state.pose[:], state.averages[:] = guess, means
         return False
     if poor:  # what the scan shows is not in the map yet

@@ -41,6 +41,36 @@ def test_a_robot_that_is_carried_elsewhere_is_lost_and_found(drive):
     assert np.median(off) < 0.1
 
 
+def test_the_map_of_a_robot_that_is_carried_before_it_drives_is_that_of_the_drive(drive, tmp_path):
+    """It is never found where it was switched on, of which the map contains a single keyframe."""
+    poses, ranges = drive
+    rows = np.r_[np.full(30, LEFT), FOUND : FOUND + 150]
+    there = compose(poses[LEFT], inverse(poses[FOUND]))
+    told = compose(np.where(rows[:, None] == LEFT, np.zeros(3), there), poses[rows])
+    slam = impslam.Slam("default")
+    stamps = 0.1 * np.arange(len(rows))
+    slam.add_odometry(stamps, told)
+    slam.add_scans(stamps, ranges[rows], ANGLES, range_max=20.0)
+    known = slam.finish()
+    assert not known.keyframes.placed[0]
+    assert known.keyframes.placed[1:].all()
+    path = known.path()
+    assert len(path) >= 145
+    truth = compose(inverse(poses[rows[-len(path)]]), poses[rows[-len(path) :]])
+    off = compose(inverse(path[0, 1:]), path[:, 1:]) - truth
+    assert np.hypot(*off[:, :2].T).max() < 0.1
+    assert np.sqrt(known.keyframes.covariances[1:, 0, 0]).max() < 0.3
+    known.save(tmp_path / "map.imp")
+    known = impslam.Map.load(tmp_path / "map.imp")
+    slam = impslam.Slam("default", known=known, hint=tuple(path[0, 1:]))
+    slam.add_odometry(stamps[33:] + 100.0, told[33:])
+    slam.add_scans(stamps[33:] + 100.0, ranges[rows[33:]], ANGLES, range_max=20.0)
+    placed = slam.finish().keyframes.placed
+    assert not placed[0]
+    assert placed[1:].all()
+    assert len(placed) > len(known.keyframes)
+
+
 def run(poses, shown):
     """Return the map of a drive, with errors in m and the health of its scans."""
     slam = impslam.Slam("default")

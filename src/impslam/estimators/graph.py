@@ -74,6 +74,7 @@ class Graph(Estimator):
     _start: Array = PrivateAttr()
     _models: Mapping[str, LandmarkModel] = PrivateAttr()
     _known: Map | None = PrivateAttr(None)
+    _is_continued: bool = PrivateAttr(False)
     _closed_before: int = PrivateAttr(0)
     """Number of closures of the map that is continued."""
     _refined: Revision | None = PrivateAttr(None)
@@ -92,7 +93,7 @@ class Graph(Estimator):
         """Continue a map; see `Estimator.resume`."""
         if len(known.keyframes):
             self._keys, self._graph, self._since = restored(known, self.spacing, frozen=frozen)
-            self._closed_before = self._graph.closures
+            self._is_continued, self._closed_before = True, self._graph.closures
             self._thinner.resume(self._keys, frozen=frozen)
             if frozen:
                 self._known, self._closer = known, LoopCloser(_everywhere(self.loops))
@@ -251,7 +252,7 @@ class Graph(Estimator):
         """Return covariances that include that of the scale; those of a frozen map already do."""
         if self._known is not None:
             return covariances
-        return with_scale(covariances, poses, self._graph.poses[0, :2], self.scale_sigma)
+        return with_scale(covariances, poses, self._origin, self.scale_sigma)
 
     def _with_scale(self, revision: Revision) -> Revision:
         covariances = self._including_scale(revision.covariances, revision.poses)
@@ -266,6 +267,7 @@ class Graph(Estimator):
             self._final_closer.search(len(graph) - 1, self._keys, graph)
             if graph.closures:
                 graph.solve()
+            self._leave_out_first_scan(graph)
         except NumericalError as error:
             graph, refused = copy(self._graph), f"the last closures are not in the map: {error}"
         self._final = graph
@@ -274,6 +276,17 @@ class Graph(Estimator):
         poses = refined(blended(self._keys, graph), self._keys, self.rounds, part)
         self._refined = replace(revision, poses=poses[revision.ids], refused=refused)
         return self._with_scale(self._refined)
+
+    def _leave_out_first_scan(self, graph: PoseGraph) -> None:
+        """If the map is a single keyframe, let it begin with the longest later session instead.
+
+        A robot that is carried after it was switched on is never found at that keyframe.
+        """
+        sessions = graph.roots[self._keys.node_before]
+        first, lengths = np.unique(sessions, return_counts=True)
+        if self._is_continued or lengths[0] > 1 or lengths.max() == 1:
+            return
+        graph.begin_map_at(int(first[np.argmax(lengths)]), _MIN_COVARIANCE)
 
     def landmarks(self) -> tuple[Landmark, ...]:
         """Return the landmarks at the keyframes' poses; after `refine`, at the refined ones."""
@@ -289,8 +302,13 @@ class Graph(Estimator):
             poses, covariances, sightings = poses[rows], covariances[rows], sightings.part(rows)
         scans = self._keys.placed_scans(poses, rows)
         found = landmarks_of(poses, covariances, sightings, self._models, scans)
-        origin = self._graph.poses[0, :2]
-        return tuple(landmark_with_scale(mark, origin, self.scale_sigma) for mark in found)
+        return tuple(landmark_with_scale(mark, self._origin, self.scale_sigma) for mark in found)
+
+    @property
+    def _origin(self) -> Array:
+        """Position (2,) m of the first node of the map."""
+        graph = self._final or self._graph
+        return graph.poses[graph.first, :2]
 
     def landmark_covariance(self) -> Array:
         """Return the joint covariance of a frozen map, whose landmarks do not change; else (0, 0)."""

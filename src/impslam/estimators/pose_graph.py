@@ -40,7 +40,7 @@ MIN_CORRECTION = 0.1, 0.01
 class PoseGraph:
     """Nodes with their poses, the chains of motions between them, and closures.
 
-    The first node is fixed: it defines the map frame. Also fixed are the first nodes of pending sessions,
+    The node `first` is fixed: it defines the map frame. Also fixed are the first nodes of pending sessions,
     and the first `frozen` nodes, those of a frozen map. A node close to another one can be folded into it:
     its edges are transferred to the other node, its host, and it moves with that (the reduced pose graph,
     Johannsson et al. 2013).
@@ -51,9 +51,10 @@ class PoseGraph:
     covariances : (n, 3, 3), from the last solution and propagated from there
     hosts : (n,) the node that each is folded into; itself if it is not folded
     closures : number of closures
+    first : the first node of the map; earlier ones are a session of their own, which no edge connects to it
     """
 
-    frozen = 0
+    frozen = first = 0
     _roots: Ints | None = None  # None: the edges or nodes have changed since
 
     def __init__(self) -> None:
@@ -98,6 +99,15 @@ class PoseGraph:
             ("_T_host_node", np.zeros(3)), ("_host_covariances", np.zeros((3, 3))),
         ):  # fmt: skip
             setattr(self, name, np.concatenate([getattr(self, name), row[None]]))
+
+    def begin_map_at(self, first: int, covariance: Array) -> None:
+        """Make the session that begins at node `first` the map; `covariance` (3, 3) is that of its pose.
+
+        Raises as `solve` does.
+        """
+        self.first, self._roots, self.covariances = first, None, self.covariances.copy()
+        self.covariances[first] = covariance
+        self.solve()
 
     def extend(self, T: Array, covariance: Array, length: float) -> None:
         """Add a node after the motion T (3,) of covariance (3, 3) and path length `length`, m."""
@@ -182,7 +192,7 @@ class PoseGraph:
             self._T_host_node[host], self._host_covariances[host], T_host_node, covariance
         )
         host = int(self.hosts[host])
-        if node in (0, host) or self.is_folded[node]:
+        if node in (0, self.first, host) or self.is_folded[node]:
             return
         for name, value in (
             ("hosts", host),
@@ -227,12 +237,21 @@ class PoseGraph:
 
     @property
     def roots(self) -> Ints:
-        """First node (n,) that is connected to each; 0 for those that are placed in the map."""
+        """First node (n,) that is connected to each; 0 for those that are placed in the map.
+
+        Nodes of the session before the map have the root `first`.
+        """
         if self._roots is None:
-            i, j, *_ = self.edges
-            self._roots = np.asarray(roots(len(self), i, j)[self.hosts])
+            root = self._components()
+            swapped = np.where(root == self.first, 0, np.where(root == 0, self.first, root))
+            self._roots = np.asarray(swapped)
             self._roots.flags.writeable = False
         return self._roots
+
+    def _components(self) -> Ints:
+        """Return the first node (n,) that is connected to each."""
+        i, j, *_ = self.edges
+        return np.asarray(roots(len(self), i, j)[self.hosts])
 
     def solve(self) -> None:
         """Move the nodes to the optimum of motions and closures.
@@ -242,7 +261,7 @@ class PoseGraph:
         NumericalError
             If there is no solution; the nodes stay where they are.
         """
-        root, nodes = self.roots, np.arange(len(self))
+        root, nodes = self._components(), np.arange(len(self))
         fixed = np.flatnonzero((root == nodes) | (nodes < self.frozen) | self.is_folded)
         solution = solve(self.poses, self.edges, fixed)
         covariances = self._with_folded(

@@ -63,6 +63,7 @@ def restored(known: Map, spacing: float, *, frozen: bool = False) -> Restored:
     graph = PoseGraph.from_nodes(
         poses, covariances, hosts, edges, _lengths(edges, keys.distance[nodes])
     )
+    graph.first = int(np.argmax(rows.placed[nodes]))
     if frozen:
         graph.frozen = len(nodes)
     elif len(edges.i):

@@ -381,6 +381,16 @@ class TestRefusals:
         refusals.flush(everything=True)
         assert len(caplog.records) == FIRST + 1
 
+    def test_counts_are_logged_at_the_end_and_nothing_after_it(self, clock, caplog):
+        refusals = Refusals(clock)
+        for _ in range(FIRST + 1):
+            refusals.record("10.0.0.1", "login")
+        refusals.close()
+        assert self.messages(caplog)[-1].endswith("1 more in 0 s")
+        refusals.record("10.0.0.1", "the rest after its session ended")
+        refusals.close()
+        assert len(caplog.records) == FIRST + 1
+
     def test_many_addresses_do_not_fill_the_log(self, clock, caplog):
         refusals = Refusals(clock)
         for k in range(100_000):

@@ -45,6 +45,12 @@ class Refusals:
         self._lock = threading.Lock()
         self._lines = Bucket(LINE_BURST, RATE, clock)
         self._counts: dict[_Kind, _Count] = {}
+        self._closed = False
+
+    def close(self) -> None:
+        """Log all counts, and nothing more: what is cut off while the server stops is no refusal."""
+        self.flush(everything=True)
+        self._closed = True
 
     def record(self, address: str, what: str, detail: str = "") -> None:
         """Record a refusal: the client, the kind, and details (never a secret)."""
@@ -73,6 +79,8 @@ class Refusals:
                 self._write(_OTHERS, others, 0.0)
 
     def _note(self, kind: _Kind, detail: str) -> None:
+        if self._closed:
+            return
         with self._lock:
             if kind not in self._counts and len(self._counts) >= MAX_KINDS:
                 kind = _OTHERS

@@ -98,8 +98,8 @@ class Server(uvicorn.Server):
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """End every session, and with it its sockets."""
+        self.authenticator.refusals.close()
         self.authenticator.close()
-        self.authenticator.refusals.flush(everything=True)
         gc.unfreeze()
         # Requests that are aborted now, after `GRACE`, are not errors.
         logging.getLogger("uvicorn.error").setLevel(logging.CRITICAL + 1)

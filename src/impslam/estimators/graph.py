@@ -75,6 +75,7 @@ class Graph(Estimator):
     _models: Mapping[str, LandmarkModel] = PrivateAttr()
     _known: Map | None = PrivateAttr(None)
     _is_continued: bool = PrivateAttr(False)
+    """Whether a map with keyframes is continued, which stays the map whatever follows."""
     _closed_before: int = PrivateAttr(0)
     """Number of closures of the map that is continued."""
     _refined: Revision | None = PrivateAttr(None)
@@ -302,7 +303,8 @@ class Graph(Estimator):
             poses, covariances, sightings = poses[rows], covariances[rows], sightings.part(rows)
         scans = self._keys.placed_scans(poses, rows)
         found = landmarks_of(poses, covariances, sightings, self._models, scans)
-        return tuple(landmark_with_scale(mark, self._origin, self.scale_sigma) for mark in found)
+        origin = self._origin
+        return tuple(landmark_with_scale(mark, origin, self.scale_sigma) for mark in found)
 
     @property
     def _origin(self) -> Array:

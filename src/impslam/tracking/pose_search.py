@@ -52,8 +52,9 @@ def find_pose(
     submaps.
     """
     submap, usual = older_map(state.submaps), state.averages[SHARE]
-    position, heading = state.prior + state.slip
-    prior = prior_information(state.prior + state.slip)
+    variances = state.prior + state.slip
+    position, heading = variances
+    prior = prior_information(variances)
     slack2 = max(SLIP_SIGMAS**2, min(MIN_SLIP[0] ** 2 / position, MIN_SLIP[1] ** 2 / heading))
     weight = settings.match.information * min(1.0, max(usual, 0.05) / USUAL_SHARE) ** 4
     weight *= min(1.0, USUAL_RMS**2 / state.averages[SQUARE])

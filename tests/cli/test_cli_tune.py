@@ -48,6 +48,7 @@ def test_two_commands_do_not_write_to_one_folder(imp, tmp_path, command):
         ((), "no log given"),
         (("room", "--trials", "0"), "--trials and --seeds: must be at least 1"),
         (("room", "--search", "filter.knd=a,b"), "knd is not a parameter"),
+        (("room", "--holdout", "room"), "room: named as a log to tune on and with --holdout"),
         (("room", "-c", "kf-demo", "--search", "seed=1"), "expected LOW:HIGH"),
     ],
 )

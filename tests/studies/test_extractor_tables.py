@@ -8,6 +8,7 @@ import pytest
 from impslam.studies.extractor_scores import Counts, Detection
 from impslam.studies.extractor_stats import ExtractorScore
 from impslam.studies.extractor_tables import accuracy_table, detection_table, numbers
+from impslam.sweeps.statistics import mean, rms
 
 
 def wall(rho, alpha):
@@ -59,8 +60,14 @@ def test_numbers_have_errors_and_no_nan(scores):
     good, blind = found["good"]["driving"], found["blind"]["driving"]
     assert good["true_positives"]["value"] == 0.5
     assert good["rms_0"]["value"] == pytest.approx(0.02)
-    assert good["bias_0"]["error"] == pytest.approx(0.02 / math.sqrt(10))
+    assert good["bias_0"]["error"] == pytest.approx(0.02 / math.sqrt(10 - 1))
     assert good["scans_per_second"] == 500.0
     assert good["true_positives_of_whole"] is None
     assert blind["true_positives"]["value"] == 0.0
     assert "nees" not in blind
+
+
+def test_one_value_has_no_standard_error():
+    for estimate in (mean(np.array([1.0])), rms(np.array([2.0]))):
+        assert math.isnan(estimate.error)
+    assert mean(np.array([1.0, 3.0])).error == pytest.approx(1.0)

@@ -51,6 +51,16 @@ def test_the_table_has_a_row_for_each_run_in_order(tmp_path):
     assert (second["status"], second["message"], second["ate_m"]) == ("failed", "IMU on fire", "")
 
 
+def test_rows_are_sorted_by_the_size_of_numbers(tmp_path):
+    rows = [
+        {**row(seed), "settings": {"k": value}} for value in ("auto", 10, 2.0) for seed in (10, 2)
+    ]
+    write_table(tmp_path, rows)
+    with (tmp_path / CSV).open() as file:
+        found = [(one["k"], one["seed"]) for one in csv.DictReader(file)]
+    assert found == [(k, seed) for k in ("2.0", "10", "auto") for seed in ("2", "10")]
+
+
 def test_parquet_contains_the_same_with_types(tmp_path):
     io = pytest.importorskip("arro3.io")
     write_table(tmp_path, [row(0, scans=7, ate_m=0.25), row(1, "lost")])

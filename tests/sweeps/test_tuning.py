@@ -20,7 +20,7 @@ from impslam.sweeps.tuning import best, finished, open_study, score_of, search, 
 
 pytest.importorskip("optuna")
 SPACE = {"odometry.wheel_noise": Range(0.001, 1.0), "filter.kind": Choice(("ekf", "riekf"))}
-BASE = (("odometry.wheel_noise", "0.5"), ("filter.kind", "ekf"))
+BASE = {"odometry.wheel_noise": 0.5, "filter.kind": "ekf"}
 
 
 def bowl(cases):
@@ -83,6 +83,41 @@ def test_an_interrupted_search_is_resumed(tmp_path):
 def test_processes_share_the_trials(tmp_path):
     study, _ = tune(tmp_path, 6, processes=2)
     assert len(finished(study)) == 6
+
+
+@pytest.mark.parametrize(
+    ("search", "value"),
+    [
+        ("association.gate=0.9,0.99,0.999", "0.999"),
+        ("sensors.lidar.deskew=false,true", "true"),
+        ("odometry.wheel_noise=0.001:1.0", "0.005"),
+    ],
+)
+def test_the_config_itself_is_tried_first_whatever_the_type_of_a_value(tmp_path, search, value):
+    task = Task([find_log("room")], [], "imp", ["odometry.wheel_noise=0.005"], 1)
+    space = task.space([search])
+    study = open_study(tmp_path, task.values(space), space)
+    assert [found for _, found in suggest(space, study.ask())] == [value]
+
+
+def test_a_trial_without_a_score_counts_as_failed(tmp_path):
+    def unknown(cases):
+        (settings,) = cases
+        known = settings["filter.kind"] == "ekf"
+        return [{"log": "toy", "error": "", "ate_m": 0.1 if known else math.nan}]
+
+    study, _ = tune(tmp_path, 12, unknown)
+    assert len(finished(study)) == 12
+    failed = [trial for trial in study.trials if not trial.values]
+    assert failed
+    assert "toy: its best score is unknown" in failed[0].user_attrs["message"]
+
+
+def test_a_search_whose_first_score_is_unknown_ends_and_can_be_continued(tmp_path):
+    with pytest.raises(ConfigError, match="toy: its best score is unknown"):
+        tune(tmp_path, 4, lambda cases: [{"log": "toy", "error": "", "ate_m": math.nan}])
+    study, _ = tune(tmp_path, 4)
+    assert len(finished(study)) == 4
 
 
 def test_a_study_with_another_space_is_rejected(tmp_path):
@@ -211,7 +246,7 @@ def test_a_range_with_an_invalid_end_is_rejected():
     task = Task([find_log("room")], [], "imp", [], 1)
     with pytest.raises(ConfigError, match=r"sensors.lidar.sigma = 500"):
         task.space(["sensors.lidar.sigma=0.001:500.0"])
-    assert json.dumps(list(task.values(task.space([]))))
+    assert json.dumps(task.values(task.space([])))
 
 
 def test_without_optuna_the_error_names_an_installable_package(tmp_path, monkeypatch):

@@ -88,6 +88,8 @@ def tune(  # noqa: PLR0913  # each is an option that a user may give
     search, quiet = search or Search(), common is not None and common.quiet
     if search.trials < 1 or search.seeds < 1:
         raise ConfigError("--trials and --seeds: must be at least 1")
+    if both := sorted(set(logs) & set(search.holdout)):
+        raise ConfigError(f"{both[0]}: named as a log to tune on and with --holdout; name it once")
     all_logs = find_logs(logs and [*logs, *search.holdout], truth, relations)
     held_out = [log for log in all_logs if log.name in search.holdout]
     tuned_on = [log for log in all_logs if log not in held_out]

@@ -39,6 +39,10 @@ class Range:
         """Return whether a value is within the range."""
         return isinstance(value, int | float) and self.low <= value <= self.high
 
+    def suggestion(self, value: Any) -> Any:
+        """Return what a trial suggests for a value of the config; None if it is outside."""
+        return value if self.contains(value) else None
+
 
 @dataclass(frozen=True, slots=True)
 class Choice:
@@ -50,9 +54,9 @@ class Choice:
         """Return the value suggested by a trial."""
         return str(trial.suggest_categorical(key, self.values))
 
-    def contains(self, value: Any) -> bool:
-        """Return whether a value is in the list."""
-        return value in map(plain, self.values)
+    def suggestion(self, value: Any) -> Any:
+        """Return what a trial suggests for a value of the config; None if it is not in the list."""
+        return next((text for text in self.values if plain(text) == value), None)
 
     @property
     def low(self) -> str:

@@ -55,7 +55,7 @@ def mean(values: Array | Ints) -> Estimate:
     """Return the mean; NaN without values."""
     if not len(values):
         return NONE
-    return Estimate(float(values.mean()), float(values.std()) / math.sqrt(len(values)))
+    return Estimate(float(values.mean()), _standard_error(values))
 
 
 def rms(values: Array) -> Estimate:
@@ -64,8 +64,14 @@ def rms(values: Array) -> Estimate:
         return NONE
     squares = np.square(values)
     root = math.sqrt(float(squares.mean()))
-    error = float(squares.std()) / math.sqrt(len(squares)) / max(2.0 * root, 1e-300)
-    return Estimate(root, error)
+    return Estimate(root, _standard_error(squares) / max(2.0 * root, 1e-300))
+
+
+def _standard_error(values: Array | Ints) -> float:
+    """Return the standard error of the mean of values (n,); NaN for n = 1."""
+    if len(values) < 2:
+        return math.nan
+    return float(values.std(ddof=1)) / math.sqrt(len(values))
 
 
 Rows = Sequence[Row]

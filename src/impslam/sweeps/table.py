@@ -25,7 +25,16 @@ def tidy(rows: Iterable[Row]) -> list[Row]:
 
     They are sorted by log, config, settings and seed, independent of the order in which the runs finished.
     """
-    return [_flat(row) for row in sorted(rows, key=identity)]
+    return [_flat(row) for row in sorted(rows, key=_place)]
+
+
+def _place(row: Row) -> tuple[Any, ...]:
+    """Return the sort key of a row: numbers by size, before texts."""
+    settings = [
+        (key, isinstance(value, str), value if isinstance(value, str) else float(value))
+        for key, value in row["settings"].items()
+    ]
+    return row["log"], row["config"] or "", settings, row["seed"], identity(row)
 
 
 def _flat(row: Row) -> Row:

@@ -83,10 +83,10 @@ class Task:
             "references": [fingerprint(Path(file)) for file in files],
         }
 
-    def values(self, space: Space) -> Settings:
+    def values(self, space: Space) -> dict[str, Any]:
         """Return the configured values of the searched parameters."""
         table = self._resolved.resolved()
-        return tuple((key, str(value_of(table, key))) for key in space)
+        return {key: value_of(table, key) for key in space}
 
     def cases(self, found: Settings) -> list[Case]:
         """Return the runs that evaluate some settings."""

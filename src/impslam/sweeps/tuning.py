@@ -12,7 +12,7 @@ from typing import Any, TypeAlias
 
 from impslam.errors import ConfigError, ImpError
 from impslam.extras import install
-from impslam.sweeps.cases import Case, Settings, plain
+from impslam.sweeps.cases import Case, Settings
 from impslam.sweeps.measures import run_case
 from impslam.sweeps.pool import Pool, ProcessDied
 from impslam.sweeps.rows import Row
@@ -40,7 +40,10 @@ Progress: TypeAlias = Callable[[str, int, int], None]
 
 
 def open_study(
-    folder: Path, base: Settings, space: Space, evidence: Mapping[str, Any] | None = None
+    folder: Path,
+    base: Mapping[str, Any],
+    space: Space,
+    evidence: Mapping[str, Any] | None = None,
 ) -> Any:
     """Open the study of a folder, or create one.
 
@@ -48,7 +51,7 @@ def open_study(
 
     Parameters
     ----------
-    base : the configured values of the searched parameters
+    base : the configured values of the searched parameters, by key
     evidence : what the scores depend on besides these, for JSON; see `Task.evidence`
 
     Raises
@@ -82,8 +85,8 @@ def open_study(
         seed=len(study.trials), n_startup_trials=2 * len(space) + 4
     )
     if not study.trials:
-        known = {key: plain(value) for key, value in base if space[key].contains(plain(value))}
-        study.enqueue_trial(known)
+        first = {key: part.suggestion(base[key]) for key, part in space.items()}
+        study.enqueue_trial({key: value for key, value in first.items() if value is not None})
     return study
 
 
@@ -109,6 +112,11 @@ def search(
     ----------
     cases : returns the runs that evaluate a trial
     score : one of `SCORES`
+
+    Raises
+    ------
+    ConfigError
+        If the score of a trial is unknown, and no trial has one.
     """
     from optuna.trial import TrialState  # noqa: PLC0415  # an extra
 
@@ -133,12 +141,18 @@ def _report(study: Any, trial: Any, rows: Sequence[Row] | ProcessDied, score: st
     from optuna.trial import TrialState  # noqa: PLC0415  # an extra
 
     outcome = [{"error": rows.why}] if isinstance(rows, ProcessDied) else rows
-    errors = [row["error"] for row in outcome if row["error"]]
-    if errors:
-        trial.set_user_attr(MESSAGE, errors[0])
-        study.tell(trial, state=TrialState.FAIL)
-    else:
-        study.tell(trial, score_of(outcome, score))
+    unknown, message = None, next((row["error"] for row in outcome if row["error"]), "")
+    if not message:
+        try:
+            study.tell(trial, score_of(outcome, score))
+        except ConfigError as error:
+            unknown, message = error, str(error)
+        else:
+            return
+    trial.set_user_attr(MESSAGE, message)
+    study.tell(trial, state=TrialState.FAIL)
+    if unknown and not any(t.values for t in study.trials):
+        raise unknown
 
 
 def finished(study: Any) -> list[Any]:

@@ -128,6 +128,17 @@ def test_the_gyro(eight):
     )
     assert abs(found.scale - 1.0) < 4.0 * found.scale_sigma
     assert calibrate_gyro(np.empty((0, 2)), motions, 0.0) is None
+    turned = calibrate_gyro(eight.gyro * [1.0, -1.0], motions, 0.0)
+    assert turned.scale == pytest.approx(-found.scale)
+    assert turned.bias_sigma == pytest.approx(found.bias_sigma)
+
+
+@pytest.mark.parametrize("rate", [0.0, 0.1])
+def test_a_gyro_whose_rate_never_changes_is_not_calibrated(eight, rate):
+    _, lidar = "lidar", WRONG.make_robot().sensors["lidar"]
+    motions = match_pairs(lidar, eight.scans, lidar_path(lidar, eight.scans))
+    readings = np.column_stack((eight.gyro[:, 0], np.full(len(eight.gyro), rate)))
+    assert calibrate_gyro(readings, motions, 0.0) is None
 
 
 def test_errors_for_logs_that_cannot_be_calibrated(eight):

@@ -26,7 +26,7 @@ LATENCIES = np.linspace(-0.6, 0.6, 61)
 
 
 def initial_estimate(drives: Sequence[CalibrationDrive], latency: float) -> Array | None:
-    """Return parameters (p + 6,) for `residuals`; None if the robot has not turn_inputs or driven.
+    """Return parameters (p + 6,) for `residuals`; None if the robot has not turned or driven.
 
     The latency is searched around the given one, s; ranges are assumed to be correct.
     """

@@ -16,6 +16,8 @@ from impslam.types import Array
 
 MIN_MOTIONS = 10
 """Motions needed for an estimate."""
+MAX_CONDITION = 1e4
+"""Condition number beyond which bias and scale cannot be told apart: the rate varies by 1e-4 rad/s."""
 ITERATIONS, GATE = 5, 4.0
 """Number of fits, and the standard deviations beyond which a motion is left out of the next one."""
 
@@ -38,7 +40,7 @@ class GyroCalibration(NamedTuple):
 def calibrate_gyro(
     readings: Array, motions: LidarMotions, latency: float
 ) -> GyroCalibration | None:
-    """Return bias and scale of the gyro of a log; None if it has none or the robot hardly moved.
+    """Return bias and scale of the gyro of a log; None if it has none, or its rate hardly changed.
 
     `readings` (g, 2) are stamps, s, and yaw rates, rad/s; `latency` is that of the lidar, s.
     """
@@ -63,12 +65,14 @@ def _integrate(stamps: Array, rates: Array, begins: Array, ends: Array) -> Array
     return difference
 
 
-def _fit(A: Array, turns: Array) -> GyroCalibration:
+def _fit(A: Array, turns: Array) -> GyroCalibration | None:
     near = np.ones(len(A), np.bool_)
     for _ in range(ITERATIONS):
         k, b = np.linalg.lstsq(A[near], turns[near], rcond=None)[0]
         off = np.abs(A @ [k, b] - turns)
         near = off <= GATE * 1.4826 * np.median(off) + 1e-9
+    if np.linalg.cond(A[near]) > MAX_CONDITION:
+        return None
     variance = float(off[near] @ off[near]) / max(int(near.sum()) - 2, 1)
     sigmas = np.sqrt(np.diag(np.linalg.inv(A[near].T @ A[near])) * variance)
-    return GyroCalibration(float(-b / k), float(sigmas[1] / k), float(k), float(sigmas[0]))
+    return GyroCalibration(float(-b / k), float(sigmas[1] / abs(k)), float(k), float(sigmas[0]))

@@ -3,7 +3,7 @@
 A reading adds a step: a path w (complex, x + i y) driven at a constant rate while the robot turns by a, so
 its chord is w exp(i a/2) sin(a/2)/(a/2) (SE(2), as in `odometry`). With headings h and positions X
 accumulated over all steps, the motion between two times is z = exp(-i h_a) (X_b - X_a), with the turn
-h_b - h_a; the derivatives of X by the parameters are sum_between of the same kind.
+h_b - h_a; the derivatives of X by the parameters are sums of the same kind.
 """
 
 from __future__ import annotations
@@ -279,6 +279,6 @@ def covered(model: OdometryModel, begins: Array, ends: Array) -> Mask:
 
 
 def sum_between(model: OdometryModel, steps: Array, begins: Array, ends: Array) -> Array:
-    """Return the sum_between (k, c) of quantities (m, c) of the steps, between times (k,) and (k,)."""
+    """Return the sums (k, c) of quantities (m, c) of the steps, between times (k,) and (k,)."""
     total = np.vstack((np.zeros((1, steps.shape[1])), np.cumsum(steps, axis=0)))
     return np.asarray(_rows(model.stamps, total, ends) - _rows(model.stamps, total, begins))

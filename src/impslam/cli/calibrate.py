@@ -48,7 +48,8 @@ def calibrate(  # noqa: PLR0913  # each is an option that a user may give
         Use the UMBmark method: each log is a square with this side length (m) that ends where it
         began, some turning left and some right. Only wheels and track are calibrated.
     output
-        TOML file for the calibrated config; a PNG picture of before and after is written beside it.
+        TOML file for the calibrated config; a PNG picture of before and after is written beside it,
+        except with --square.
     json
         JSON file to write all numbers to.
     """

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from operator import itemgetter
 
 import numpy as np
 
@@ -196,7 +197,7 @@ class Robot:
                 f"{math.degrees(found.wheels):.1f} deg and the gyro by {math.degrees(found.gyro):.1f} deg: "
                 "the wheels slip or the robot is pushed; the heading follows the gyro"
             )
-            self._faults.append((int(order[-1]), "wheel slip", text, 1))
+            self._faults.append((found.order, "wheel slip", text, 1))
         return motions
 
     def _pending_rows(self, name: str, columns: Columns, placed: PlacedRows) -> PendingRows:
@@ -262,7 +263,7 @@ class Robot:
         ))  # fmt: skip
 
     def _record_faults(self) -> None:
-        for _, kind, example, count in sorted(self._faults):
+        for _, kind, example, count in sorted(self._faults, key=itemgetter(0)):
             self.problems.add(kind, example, count)
         self._faults.clear()
 

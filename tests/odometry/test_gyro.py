@@ -246,3 +246,14 @@ def test_cutting_the_log_changes_no_byte(rows):
     whole = corrected(messages)[1:]
     for one, other in zip(whole, corrected(messages, rows=rows)[1:], strict=True):
         np.testing.assert_array_equal(one, other)
+
+
+def test_the_first_slip_is_the_example_however_the_log_is_cut():
+    speeds = drive(turn=0.6)
+    wheels = speeds * [1.0, 1.5]
+    wheels[:600] = speeds[:600]
+    messages = list(log(speeds, wheels))
+    setting = "odometry.gyro.proven=true"
+    one, whole = (corrected(messages, setting, rows=rows)[0].problems for rows in (1, 8192))
+    assert whole.counts["wheel slip"] >= 3
+    assert whole.examples == one.examples

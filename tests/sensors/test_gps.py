@@ -5,10 +5,12 @@ import math
 import numpy as np
 import pytest
 
+from impslam.columns import Sweeps, batches
 from impslam.config import load
 from impslam.errors import ConfigError
 from impslam.geometry.se2 import compose, inverse, transform
 from impslam.run import Run
+from impslam.sensors.gps import Gps
 from impslam.types import Fix, Velocity
 
 SETTINGS = (
@@ -93,3 +95,25 @@ def test_without_a_course_nothing_is_observed():
     messages = sorted([*fixes, *wheels], key=lambda message: message.stamp)
     known = Run(load("default", SETTINGS)).play(messages)
     assert not known.landmarks
+
+
+def test_the_course_depends_on_earlier_fixes_of_the_log_only():
+    """Also if a clock is set back: then later fixes have earlier stamps."""
+    stamps = np.append(1000.0 + np.arange(40.0), 900.0 + np.arange(40.0))
+    messages = [
+        Fix(stamp, np.array([2.0 * k, 0.05 * k**2]), np.full((2, 2), math.nan))
+        for k, stamp in enumerate(stamps.tolist())
+    ]
+    found = []
+    for size in (1, 512):
+        gps, observed = Gps(), []
+        for part in batches([("gps", message) for message in messages], size):
+            (columns,) = part.values()
+            gps.spans(columns)
+            sweeps = Sweeps("gps", columns, *[np.zeros(0)] * 4, None)
+            observed += [
+                gps.observe(sweeps, k, np.random.default_rng()) for k in range(len(columns))
+            ]
+        found.append([[o.attributes for o in row] for row in observed])
+    assert found[0] == found[1]
+    assert sum(map(bool, found[0])) > 60

@@ -189,6 +189,8 @@ def test_the_robots_own_body_is_cut_out():
     assert observe(lidar, sweep(np.ones(4), angles)).valid.tolist() == [False, True, True, False]
     turned = np.array([0.0, 0.5, 2 * math.pi - 0.5, math.pi])
     assert observe(lidar, sweep(np.ones(4), turned)).valid.tolist() == [True, True, True, False]
+    backward = Lidar2D(angle_min=1.0, angle_max=-1.0)
+    assert observe(backward, sweep(np.ones(4), angles)).valid.tolist() == [True, False, False, True]
 
 
 def test_noise_grows_with_range():
@@ -206,8 +208,9 @@ def test_scan_lengths_may_change_and_empty_scans_are_not_usable():
 
 
 def test_ranges_are_calibrated_where_they_are_valid():
-    scan = observe(Lidar2D(range_scale=1.1, range_offset=-0.2), sweep([0.0, 2.0]))
-    np.testing.assert_allclose(scan.ranges, [0.0, 2.0])
+    scan = observe(Lidar2D(range_scale=1.1, range_offset=-0.2), sweep([0.0, 2.0, 0.1]))
+    np.testing.assert_allclose(scan.ranges, [0.0, 2.0, 0.0])
+    assert scan.valid.tolist() == [False, True, False]  # no point is behind the laser
 
 
 def test_angles_are_calibrated_before_their_limits():

@@ -87,8 +87,16 @@ class Gyro(Parameters):
 
 
 class Disagreement(NamedTuple):
-    """A window of `WINDOW` s in which wheels and gyro turn differently: stamp, s, and both turns, rad."""
+    """A window of `WINDOW` s in which wheels and gyro turn differently.
 
+    Attributes
+    ----------
+    order : position in the log of the row at its end
+    stamp : s, of that row
+    wheels, gyro : rad turned
+    """
+
+    order: int
     stamp: float
     wheels: float
     gyro: float
@@ -160,7 +168,7 @@ class GyroFusion:
         outputs = (d_pose, covariance, disagreement, shares)
         _correct(self._state, inputs, (rows, stamps, rates), self._noise, outputs)
         disagreements = [
-            Disagreement(float(motions.stamps[k]), *map(float, disagreement[k]))
+            Disagreement(int(order[k]), float(motions.stamps[k]), *map(float, disagreement[k]))
             for k in np.flatnonzero(~np.isnan(disagreement[:, 0]))
         ]
         return motions._replace(d_pose=d_pose, covariance=covariance), disagreements, shares

@@ -73,7 +73,9 @@ def deskew_sweeps(
         for i in range(n):
             r = ranges[k, i]
             usable = in_field[i] and calibration.low <= r < calibration.high and r > 0.0
-            r = calibration.scale * r + calibration.offset if usable else 0.0
+            r = calibration.scale * r + calibration.offset
+            usable = usable and r > 0.0
+            r = r if usable else 0.0
             t = beams[i, 1]
             theta = omega * t
             a, b = sinc_cosc(theta)

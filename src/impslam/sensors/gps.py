@@ -43,11 +43,12 @@ class Gps(Sensor):
     _track: deque[tuple[float, float, float]] = PrivateAttr(
         default_factory=lambda: deque(maxlen=MAX_FIXES)
     )
+    """Position in the log, and m east and north, of the newest fixes: stamps may run back."""
 
     def spans(self, columns: Columns) -> tuple[Array, Array]:
         """Return the times of the fixes, (m,) s on the odometry's clock, as start and end."""
         usable = self.usable(columns)
-        rows = np.column_stack([columns.stamps, self._positions(columns)])
+        rows = np.column_stack([columns.order, self._positions(columns)])
         self._track += map(tuple, rows[usable].tolist())
         stamps = columns.stamps - self.latency
         return stamps, stamps
@@ -71,7 +72,7 @@ class Gps(Sensor):
         covariance = np.where(np.isfinite(covariance), covariance, 0.0)
         R = covariance.copy()
         np.fill_diagonal(R, np.maximum(np.diag(R), self.sigma**2))
-        course = self._course(float(row.stamps[0]), position)
+        course = self._course(int(row.order[0]), position)
         if course is None:
             return ()
         return (Observation("gps", position, R, attributes=course),)
@@ -80,12 +81,12 @@ class Gps(Sensor):
         """Return (m, 2) m east and north, NaN without a fix."""
         return np.asarray(columns["position"])
 
-    def _course(self, stamp: float, position: Array) -> dict[str, float] | None:
-        """Return the direction from the newest fix that is far enough away, None without one."""
+    def _course(self, order: int, position: Array) -> dict[str, float] | None:
+        """Return the direction from the newest earlier fix that is far enough away, None without one."""
         x, y = position
         for earlier, x0, y0 in reversed(self._track):
             distance = math.hypot(x - x0, y - y0)
-            if earlier < stamp and distance >= MIN_COURSE_SIGMAS * self.sigma:
+            if earlier < order and distance >= MIN_COURSE_SIGMAS * self.sigma:
                 course = math.atan2(y - y0, x - x0)
                 # Errors of both fixes; and the path between them may be an arc of this angle.
                 return {

@@ -40,7 +40,10 @@ class Lidar2D(Sensor):
         "beams to the right of this (laser frame) are invalid, e.g. the robot's body",
     )
     angle_max: float = parameter(
-        math.pi, "rad", "beams to the left of this (laser frame) are invalid"
+        math.pi,
+        "rad",
+        "beams to the left of this (laser frame) are invalid; below angle_min: the field of view "
+        "contains the direction backward",
     )
     sigma: float = parameter(
         0.01, "m", "standard deviation of the range noise at range 0", gt=0, le=100, noise=True
@@ -180,7 +183,7 @@ class Lidar2D(Sensor):
         # Beams of a full turn may be given as 0 to 2 pi: compare directions, not numbers.
         field = self.angle_max - self.angle_min
         turned = np.mod(angles - self.angle_min, 2.0 * np.pi)
-        return np.asarray((field >= 2.0 * np.pi) | (turned <= field))
+        return np.asarray((field >= 2.0 * np.pi) | (turned <= np.mod(field, 2.0 * np.pi)))
 
     def observe(self, sweeps: Sweeps, k: int, rng: np.random.Generator) -> tuple[Observation, ...]:
         """Return the extracted landmarks of a scan, with the time at which their beams were fired."""

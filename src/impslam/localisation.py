@@ -65,7 +65,7 @@ def localise(
     ConfigError
         If `known` is not a map, or `every` is not positive.
     SourceError
-        If the log cannot be read, or contains no scan.
+        If the log cannot be read, or, at the end, contains no scan.
 
     Examples
     --------
@@ -90,9 +90,15 @@ def localise(
     if every < 1:
         raise ConfigError(f"every = {every}: expected 1 or more")
     chosen, source = open_log(log, config, settings)
+    return _localised(known, chosen.make_robot(), source, every, progress)
+
+
+def _localised(
+    known: Map, robot: Robot, source: Source, every: int, progress: Progress
+) -> Iterator[Located]:
     relocaliser = Relocaliser(known.keyframes)
     count = -1
-    for count, (stamp, scan, T_middle_stamp) in enumerate(_scans(chosen.make_robot(), source)):
+    for count, (stamp, scan, T_middle_stamp) in enumerate(_scans(robot, source)):
         progress(source.position, source.total)
         if count % every:
             continue

@@ -101,6 +101,17 @@ def test_an_export_that_fails_leaves_the_earlier_one(imp, office, tmp_path, monk
     assert not (tmp_path / "new").exists()
 
 
+def test_an_export_leaves_a_folder_with_other_files_as_it_is(imp, office, tmp_path) -> None:
+    folder = tmp_path / "out"
+    (folder / ".part").mkdir(parents=True)
+    for name in (".part/precious", "other"):
+        (folder / name).write_text("mine")
+    said = imp("map", "export", office, "-o", folder)
+    assert (said.code, said.err.count("\n")) == (2, 1)
+    assert "contains 'other', which this command does not write" in said.err
+    assert {path.name for path in folder.rglob("*")} == {".part", "precious", "other"}
+
+
 def test_an_export_removes_what_a_killed_one_left(imp, office, tmp_path) -> None:
     folder = tmp_path / "out"
     (folder / ".part").mkdir(parents=True)

@@ -35,3 +35,8 @@ def test_only_distances_of_odometry_count():
     turned = fixes()
     turned[:, [1, 2]] = turned[:, [2, 1]]
     assert plausible(fixes(), turned).all()
+
+
+@pytest.mark.parametrize("n", [0, 1])
+def test_a_single_fix_has_no_neighbour_that_speaks_against_it(n):
+    assert plausible(fixes(n), fixes()).tolist() == [True] * n

@@ -8,7 +8,7 @@ import pytest
 from tests.estimators.drives import LAP, RING, scanned, way
 from tests.extractors.scans import room
 
-from impslam.evaluation.quality import quality
+from impslam.evaluation.quality import _spaced, quality
 from impslam.geometry.se2 import compose
 from impslam.map import Keyframes, Map
 
@@ -118,6 +118,13 @@ def test_the_frame_of_the_map_does_not_matter(ring):
     assert quality(made(moved)).disagreement == pytest.approx(
         quality(made(ring)).disagreement, rel=0.05
     )
+
+
+@pytest.mark.parametrize("heading", [0.0, math.pi / 4, 2.0])
+def test_keyframes_are_chosen_along_the_path_in_any_frame(ring, heading):
+    moved = replace(ring, poses=compose(np.array([0.0, 0.0, heading]), ring.poses))
+    np.testing.assert_array_equal(_spaced(moved).origins, _spaced(ring).origins)
+    assert len(_spaced(moved).poses) == len(_spaced(ring).poses)
 
 
 @pytest.mark.parametrize("k", [0, 1])

@@ -205,6 +205,16 @@ def test_map_quality_is_reported_if_scans_overlap():
     assert "-</td>" in quality_section(Quality(0.01, 0.01, math.nan, 0.015, 0.004, 0.001, 0.0))
 
 
+def test_a_chart_contains_the_rows_of_two_logs_in_either_order():
+    stamps = np.array([100.0, 101.0, 102.0, 0.0, 1.0, 2.0])
+    drawn = chart("x", stamps, [ChartLine("", np.arange(6.0), "one")])
+    assert 'data-begin="0.000000" data-end="102.000000"' in drawn
+    (path,) = re.findall(r'class="line one" d="([^"]+)"', drawn)
+    across = [float(x) for x in re.findall(r"[ML]([-\d.]+) ", path)]
+    assert min(across) == 0.0
+    assert max(across) == 1000.0
+
+
 def test_the_lines_of_two_logs_at_one_time_are_not_joined():
     """Time runs back where a map was continued, by more than stamps jitter."""
     t = np.array([0.0, 50.0, 49.9, 100.0, 0.0, 100.0])

@@ -85,6 +85,17 @@ def test_cylinders_beside_the_log_are_true_landmarks(tmp_path: Path) -> None:
     np.testing.assert_allclose([m.position for m in marks], [[1.291, 1.881], [0.482, 0.682]])
 
 
+def test_bad_lines_of_cylinders_are_counted_and_dropped(tmp_path: Path) -> None:
+    folder = write_lego(tmp_path / "robot")
+    lines = ["L C abc def 10", "L C 482", "L C nan 682 55", "L C 482 682 55"]
+    (folder / "arena_landmarks.txt").write_text("\n".join(lines))
+    with Lego(path=folder) as source:
+        (mark,) = source.true_landmarks()
+        assert source.problems.counts == {"malformed L line": 3}
+        assert "arena_landmarks.txt:1: " in source.problems.examples["malformed L line"]
+    np.testing.assert_allclose(mark.position, [0.482, 0.682])
+
+
 @pytest.mark.real
 def test_real_run(data_folder: Path) -> None:
     found, source = read(data_folder / "lego-robot4")

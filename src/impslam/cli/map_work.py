@@ -70,12 +70,12 @@ def result_folder(folder: Path, files: frozenset[str]) -> Iterator[Path]:
         If it cannot be written to.
     """
     part, is_new = folder / _PART, not folder.exists()
+    with written(folder, "give another -o"):
+        folder.mkdir(parents=True, exist_ok=True)
+        _check_contents(folder, files | {_PART})
+        rmtree(part, ignore_errors=True)
+        part.mkdir()
     try:
-        with written(folder, "give another -o"):
-            folder.mkdir(parents=True, exist_ok=True)
-            _check_contents(folder, files | {_PART})
-            rmtree(part, ignore_errors=True)
-            part.mkdir()
         yield part
         with written(folder, "give another -o"):
             for name in files:

@@ -22,5 +22,6 @@ def plausible(fixes: Array, odometry: Array) -> Mask:
     driven = interpolate(odometry, fixes[:, 0])[:, :2]
     steps = [np.hypot(*np.diff(points, axis=0).T) for points in (fixes[:, 1:3], driven)]
     far = steps[0] - steps[1] > MAX_EXCESS
-    # The first and the last fix have one neighbour only.
-    return np.asarray(~(np.append(far, far[-1:]) & np.append(far[:1], far)))
+    # The first and the last fix have one neighbour only, a single one has none.
+    after, before = np.append(far, far[-1:]), np.append(far[:1], far)
+    return np.asarray(~(after & before)) if len(far) else np.ones(len(fixes), np.bool_)

@@ -26,6 +26,7 @@ from typing import NamedTuple
 import numpy as np
 
 from impslam.building.free_space import BEARINGS, Profile, profile
+from impslam.geometry.angles import wrap
 from impslam.geometry.kernels import kernel, plain
 from impslam.graph.bearings import Fans, ScanFeatures, nearest_feature, sort_by_bearing
 from impslam.graph.overlaps import Nearness, overlaps
@@ -109,9 +110,9 @@ def _spaced(keyframes: Keyframes) -> PlacedScans:
     usable = keyframes.placed & (counts > 0) & np.isfinite(keyframes.poses).all(axis=1)
     rows = np.flatnonzero(usable)
     poses = keyframes.poses[rows]
-    moved = np.abs(np.diff(poses, axis=0))
-    moved[:, 2] = np.minimum(moved[:, 2], np.abs(2.0 * math.pi - moved[:, 2]))
-    length = np.concatenate([np.zeros(min(1, len(rows))), np.cumsum(moved.sum(axis=1))])
+    dx, dy, turn = np.diff(poses, axis=0).T
+    moved = np.hypot(dx, dy) + np.abs(wrap(turn))
+    length = np.concatenate([np.zeros(min(1, len(rows))), np.cumsum(moved)])
     rows = rows[np.unique(np.floor(length / KEYFRAME_SPACING), return_index=True)[1]]
     starts = np.concatenate([np.zeros(1, np.int64), np.cumsum(counts[rows])])
     used = np.zeros(len(counts), np.bool_)

@@ -96,11 +96,12 @@ def folded(title: str, content: str) -> str:
 
 def chart(title: str, time: Array, lines: Sequence[ChartLine], band: Array | None = None) -> str:
     """Return a chart over time (n,) s; the area within +-`band` (n,) is shaded."""
-    t = time - time[0]
+    first, last = float(time.min()), float(time.max())  # stamps may run back
+    t = time - first
     values = [line.values for line in lines]
     shades = [] if band is None else [band, -band]
     low, high, ticks = _axis(values, shades)
-    span = max(float(t[-1]), 1e-9)
+    span = max(last - first, 1e-9)
     x = 1000.0 * t / span
 
     def y(v: Array) -> Array:
@@ -117,7 +118,7 @@ def chart(title: str, time: Array, lines: Sequence[ChartLine], band: Array | Non
     )
     return (
         f'<figure class="chart"><figcaption>{escape(title)} {keys}</figcaption>'
-        f'<div class="plot"{times(time[0], time[-1])}>'
+        f'<div class="plot"{times(first, last)}>'
         '<svg viewBox="0 0 1000 100" preserveAspectRatio="none" role="img" '
         f'aria-label="{escape(title)}">{marks}{shade}{drawn}</svg>{ys}{xs}</div></figure>'
     )

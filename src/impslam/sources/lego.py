@@ -28,7 +28,7 @@ from impslam.sources.base import Stream
 from impslam.sources.parts import LocatedMessage
 from impslam.sources.text import TextSource, beam_angles, beam_times, check_finite, head, numbers
 from impslam.sources.urg04lx import BEAM_TIME, RANGE_MIN, STEP
-from impslam.types import LaserScan, Message, TrueLandmark, TruePose, WheelAngles
+from impslam.types import Array, LaserScan, Message, TrueLandmark, TruePose, WheelAngles
 
 MOUNT = math.radians(-4.0)  # rad; the format's beam angles include the rotation of the mount
 START = -330.0 * STEP + MOUNT
@@ -64,16 +64,18 @@ class Lego(TextSource):
 
     def true_landmarks(self) -> list[TrueLandmark]:
         """Return the cylinders in the folder."""
-        lines = [
-            line.split()
-            for path in sorted(self.path.glob("*landmarks.txt"))
-            for line in path.read_bytes().splitlines()
-        ]
-        centres = [1e-3 * numbers(t[2:4]) for t in lines if t[:2] == [b"L", b"C"] and len(t) > 3]
+        centres = []
+        for path in sorted(self.path.glob("*landmarks.txt")):
+            for number, line in self._lines(path):
+                if (tokens := line.split())[:2] != [b"L", b"C"]:
+                    continue
+                try:
+                    centres.append(_centre(tokens))
+                except (ValueError, MessageError) as error:
+                    self._reject("L line", path, number, error)
         return [
             TrueLandmark(f"cylinder {number}", "cylinder", centre, {})
             for number, centre in enumerate(centres, 1)
-            if np.isfinite(centre).all()
         ]
 
     def _read(
@@ -127,6 +129,15 @@ class Lego(TextSource):
         for run in _runs(self.path)[1:]:
             found += [Stream(p.name, "text", None, used=False, note="another run") for p in run]
         return found
+
+
+def _centre(tokens: list[bytes]) -> Array:
+    """Return the centre (2,) m of a cylinder."""
+    if len(tokens) < 4:
+        raise MessageError("x or y is missing")
+    centre = 1e-3 * numbers(tokens[2:4])
+    check_finite("centre", *centre)
+    return centre
 
 
 def _tagged(tokens: list[bytes], tag: bytes) -> list[bytes]:

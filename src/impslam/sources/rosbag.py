@@ -67,7 +67,7 @@ class RosBag(Source):
     topics: dict[Use, str] = parameter(
         {},
         "1",
-        "topic for scan, wheels, velocity, odometry, imu, fix, image or truth; empty: use none",
+        "topic for scan, wheels, velocity, odometry, imu, fix, voltages, image or truth; empty: use none",
     )
     scan_frame: str = parameter(
         "",

@@ -223,6 +223,15 @@ def test_a_session_that_is_too_short_to_be_found_is_kept_apart(drive, whole):
     np.testing.assert_array_equal(known.grid().logodds, refined.grid().logodds)
 
 
+def test_a_continued_map_knows_all_of_its_logs(drive, whole):
+    """Else the second log would be compared with the first scans of the first one, and mapped twice."""
+    half = mapped(drive, slice(0, 300))
+    later = mapped(drive, slice(300, 500), late=1000.0, known=half)
+    assert [log["scans"] for log in later.about["logs"]] == [300, 200]
+    again = mapped(drive, slice(300, 500), late=1000.0, known=later)
+    assert len(again.stamps) == len(later.stamps)
+
+
 def test_nothing_new_is_no_news(drive, whole):
     again = mapped(drive, slice(None), known=whole)
     assert len(again.stamps) == len(whole.stamps)

@@ -375,9 +375,13 @@ class Run:
             source.path, fingerprint(source.path), len(known.landmarks), source.problems
         )
         outcome = replace(outcome, partial=partial)
-        known = replace(known, about=about(outcome, self._continuation.logs(outcome, self.scans)))
+        known = self.with_origin(known, outcome)
         self.finish_observers(known, outcome)
         return known
+
+    def with_origin(self, known: Map, outcome: Outcome) -> Map:
+        """Return the map of a run with its logs and the facts of the run."""
+        return replace(known, about=about(outcome, self._continuation.logs(outcome, self.scans)))
 
     def finish_observers(self, known: Map, outcome: Outcome) -> None:
         """Pass the final map and the facts of the run to all observers; see `finish_all`."""

@@ -15,7 +15,7 @@ from impslam.config import Config
 from impslam.continuing import begin_with
 from impslam.errors import ConfigError, ImpError
 from impslam.map import Keyframe, Map, PathRows, Revision, Track
-from impslam.observers.base import Observer, checked_observers
+from impslam.observers.base import Observer, Outcome, checked_observers
 from impslam.odometry.synchroniser import MAX_WAIT
 from impslam.open_log import finished, for_continuing
 from impslam.run import Run
@@ -211,7 +211,7 @@ class Slam:
 
     @property
     def covariance(self) -> Array:
-        """Covariance (3, 3) of `pose`."""
+        """Covariance (3, 3) of `pose`; in a frozen map, relative to the map."""
         path = self._newest.path
         return np.zeros((3, 3)) if path is None else path.covariances[-1].copy()
 
@@ -243,7 +243,8 @@ class Slam:
 
     def map(self) -> Map:
         """Return the map as it is now; more may be added."""
-        return self._run.map()
+        known = self._run.map()
+        return self._run.with_origin(known, self._outcome(known))
 
     def finish(self) -> Map:
         """Process the scans that still wait for odometry, and return the jointly refined map."""
@@ -251,8 +252,13 @@ class Slam:
         self._run.flush()
         self._report_progress(before)
         known = self._run.refined()
-        self._run.finish_observers(known, self._run.outcome(Path(), "", len(known.landmarks)))
+        outcome = self._outcome(known)
+        known = self._run.with_origin(known, outcome)
+        self._run.finish_observers(known, outcome)
         return known
+
+    def _outcome(self, known: Map) -> Outcome:
+        return self._run.outcome(Path(), "", len(known.landmarks))
 
 
 class _Newest(Observer):

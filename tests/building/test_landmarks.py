@@ -8,6 +8,7 @@ import pytest
 from impslam.building.landmarks import Criteria, landmarks_of
 from impslam.errors import ConfigError
 from impslam.geometry.se2 import compose, inverse, transform
+from impslam.landmarks.gps import GpsFrame
 from impslam.landmarks.point import Corner, Cylinder
 from impslam.landmarks.wall import Wall
 from impslam.maps.grid import PlacedScans
@@ -230,6 +231,13 @@ def test_labels_decide():
 def test_a_kind_without_a_model_is_refused():
     with pytest.raises(ConfigError, match="no landmark model"):
         landmarks_of(PATH, ZERO, [[point(PATH[0], [1, 1], "pole")]], MODELS)
+
+
+def test_fixes_of_a_gps_are_no_landmarks():
+    fix = Observation("gps", np.zeros(2), np.eye(2))
+    seen = [[fix, point(p, [1.0, 2.0])] for p in PATH]
+    found = landmarks_of(PATH, ZERO, seen, MODELS | {"gps": GpsFrame()})
+    assert [mark.kind for mark in found] == ["cylinder"]
 
 
 def test_nothing_seen_gives_nothing():

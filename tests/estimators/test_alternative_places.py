@@ -1,5 +1,7 @@
 """After a gap in the data, places that look like the one chosen are reported until scans differ."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from tests.filters.worlds import MODELS, R_POINT, R_WALL, wall_seen
@@ -9,6 +11,7 @@ from impslam.estimators.alternative_places import MIN_KEYFRAMES, AlternativePlac
 from impslam.estimators.landmarks import Landmarks
 from impslam.filters.riekf import RightInvariantEkf
 from impslam.geometry.se2 import inverse, transform
+from impslam.landmarks.gps import GpsFrame
 from impslam.lifecycle.immediate import Immediate
 from impslam.map import Keyframe
 from impslam.types import Increment, Landmark, Observation
@@ -124,6 +127,37 @@ def test_the_estimator_searches_after_an_uncertain_motion_only():
         drive(slam, np.arange(2.2, 15.0, 0.3), 0.01)
         revision = drive(slam, [14.2], sigma)
         assert revision.fits_elsewhere == expected
+
+
+def test_walls_that_are_out_of_reach_change_nothing_and_take_no_memory():
+    """Of 1000 walls elsewhere, each pair with other directions would intersect: 240 MB."""
+    far = [
+        mark(1000 + k, "wall", [[x, 50.0 + k], [x + 1.0, 50.0 + k + slope]])
+        for k in range(500)
+        for x, slope in ((0.0, 0.0), (-30.0, 40.0))
+    ]
+    found, alone = AlternativePlaces(), after_gap(2.2, 2.2, faces=True)
+    found.begin(WIDE, 9999)
+    tracemalloc.start()
+    found.review(at(2.2), at(2.2), seen_from(2.2, faces=True), [*LANDMARKS, *far])
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    np.testing.assert_array_equal(found._shifts, alone._shifts)
+    assert alone.exist
+    assert peak < 20e6
+
+
+def test_the_frame_of_a_gps_and_a_wall_without_ends_are_no_objects():
+    """A fix is a position of the robot in that frame, not of an object beside it."""
+    slam = Landmarks()
+    models = MODELS | {"gps": GpsFrame()}
+    parts = {"association": Mahalanobis(), "lifecycle": Immediate()}
+    slam.start(at(0.0), models=models, filter=RightInvariantEkf(), **parts)
+    fix = Observation("gps", np.zeros(2), np.eye(2))
+    wall = Observation("wall", np.array([1.0, 0.0]), R_WALL)
+    corner = Observation("corner", np.array([1.0, 0.0]), R_POINT)
+    assert [slam._has_place(one) for one in (fix, wall, corner)] == [False, False, True]
+    assert [slam._has_place(one) for one in LANDMARKS] == [True] * len(LANDMARKS)
 
 
 def drive(slam, places, sigma):

@@ -80,6 +80,14 @@ def test_in_a_place_that_is_unique_the_robot_stays_placed():
     assert placed_after(frames, len(frames) - 5, REACH) == [True] * 5
 
 
+def test_where_the_map_is_out_of_sight_no_other_place_fits():
+    """The scans return 60 m from the map, farther than the robot's reach and its view."""
+    truth = way((2.0, 0.0), (8.0, 0.0))
+    far = np.vstack((truth, truth[-1] + [60.0, 0.0, 0.0]))
+    frames = keyframes(RING, far)
+    assert placed_after(frames, len(truth), (3.0, 0.05)) == [True]
+
+
 def test_new_ground_speaks_for_no_place():
     """Half of the scan shows what the map does not contain; the rest fits only where the robot is."""
     truth = way((3.0, 1.25), (9.0, 1.25))

@@ -67,7 +67,8 @@ def landmarks_of(
     Parameters
     ----------
     poses, covariances : (k, 3) `T_map_base` of the keyframes and (k, 3, 3)
-    seen : their observations; a `SightingsLog` caches conversions between calls
+    seen : their observations; a `SightingsLog` caches conversions between calls. Those of unique kinds
+        are left out
     models : by kind; points of dimension 2, and lines with a frame [x, y, phi] and an extent
     scans : the keyframes' scans, to find free space; None: nothing is removed
 
@@ -81,6 +82,8 @@ def landmarks_of(
     found: list[Landmark] = []
     for kind in log.kinds():
         model = _checked_model(kind, models)
+        if model.unique:  # such as the frame of a GPS: no object in the world
+            continue
         sightings = log.columns(kind)
         limits = np.array([criteria.sigma_place, criteria.sigma_heading, criteria.relief])
         placed = transform_to_map(sightings, poses, covariances, limits, model.has_extent)
@@ -102,7 +105,7 @@ def _checked_model(kind: str, models: Mapping[str, LandmarkModel]) -> LandmarkMo
     if kind not in models:
         raise ConfigError(f"no landmark model for observations of kind {kind!r}; register one")
     model = models[kind]
-    if model.dim_z != 2 or model.dim != (3 if model.has_extent else 2):
+    if model.dim_z != 2 or (model.dim != (3 if model.has_extent else 2) and not model.unique):
         raise ConfigError(f"landmarks of kind {kind!r} are neither points nor lines")
     return model
 

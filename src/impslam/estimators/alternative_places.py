@@ -11,7 +11,8 @@ walls, the position is not.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -67,7 +68,7 @@ class AlternativePlaces:
     ) -> None:
         """Compare a scan with the landmarks at each place; it is taken from `pose` (3,).
 
-        `predicted` (3,) is the pose before its correction.
+        `predicted` (3,) is the pose before its correction. All walls have end points.
         """
         known = [mark for mark in landmarks if mark.id <= self._newest]
         self._compare(pose, observations, known)
@@ -96,13 +97,12 @@ class AlternativePlaces:
 
         The search waits for a scan that determines the position along both axes.
         """
-        shifts = _candidates(pose, observations, known)
+        area = Ellipse(-correction, spread)
+        shifts = _candidates(pose, observations, known, area)
         distance = np.hypot(shifts[:, 0], shifts[:, 1])
         if not (distance < TOLERANCE).any():
             return
-        off = shifts + correction
-        near = np.einsum("ni,ni->n", off, np.linalg.solve(spread, off.T).T) < GATE_2D
-        elsewhere = shifts[near & (distance >= MIN_SHIFT)]
+        elsewhere = shifts[area.contains(shifts) & (distance >= MIN_SHIFT)]
         fits = self._fits(elsewhere, pose, observations, known)
         alike = elsewhere[fits[1:] >= fits[0] - 1]
         self._shifts = np.concatenate((self._shifts, alike))
@@ -118,12 +118,32 @@ class AlternativePlaces:
         return np.asarray(_explained(places, pose, observations, known).sum(axis=1))
 
 
+class Ellipse(NamedTuple):
+    """The translations, m, within the gate: their mean (2,) and covariance (2, 2)."""
+
+    mean: Array
+    covariance: Array
+
+    def contains(self, shifts: Array) -> Mask:
+        """Return (n,) which translations (n, 2) are inside."""
+        off = shifts - self.mean
+        distance2 = np.einsum("ni,ni->n", off, np.linalg.solve(self.covariance, off.T).T)
+        return np.asarray(distance2 < GATE_2D)
+
+    def meets(self, lines: Array) -> Mask:
+        """Return (n,) which lines (n, 3) meet it; see `_lines`."""
+        normals, off = lines[:, :2], lines[:, 2] - lines[:, :2] @ self.mean
+        return np.asarray(
+            off**2 < GATE_2D * np.einsum("ni,ij,nj->n", normals, self.covariance, normals)
+        )
+
+
 def _candidates(
-    pose: Array, observations: Sequence[Observation], known: Sequence[Landmark]
+    pose: Array, observations: Sequence[Observation], known: Sequence[Landmark], area: Ellipse
 ) -> Array:
     """Return translations (n, 2) in m that move an observed point or two observed walls to landmarks.
 
-    They are half of `TOLERANCE` apart.
+    They are half of `TOLERANCE` apart. With walls, they are inside the area or near zero.
     """
     found, lines = [np.empty((0, 2))], [np.empty((0, 3))]
     for one in observations:
@@ -134,7 +154,8 @@ def _candidates(
         elif same:
             walls = np.array([mark.end_points for mark in same])
             lines.append(_lines(transform(pose, one.end_points), walls))
-    found.append(_intersections(np.concatenate(lines)))
+    walls = np.concatenate(lines)
+    found += _intersections(walls[area.meets(walls) | (np.abs(walls[:, 2]) < TOLERANCE)], area)
     shifts = np.concatenate(found)
     cells = np.round(shifts / (0.5 * TOLERANCE))
     return shifts[np.unique(cells, axis=0, return_index=True)[1]]
@@ -153,19 +174,18 @@ def _lines(ends: Array, walls: Array) -> Array:
 
 def _normals(walls: Array) -> Array:
     """Return the unit normals (m, 2) of walls (m, 2, 2)."""
-    along = walls[:, 1] - walls[:, 0]
-    length = np.maximum(np.hypot(along[:, 0], along[:, 1]), 1e-9)
+    along, length = walls[:, 1] - walls[:, 0], np.maximum(_lengths(walls), 1e-9)
     return np.asarray(np.column_stack((-along[:, 1], along[:, 0])) / length[:, None])
 
 
-def _intersections(lines: Array) -> Array:
-    """Return the intersections (n, 2) of all lines (k, 3) that are at 30 degrees or more to each other."""
-    i, j = np.triu_indices(len(lines), 1)
-    (a, b, c), (d, e, f) = lines[i].T, lines[j].T
-    sine = a * e - b * d
-    cross = np.abs(sine) > 0.5
-    points = np.stack((c * e - b * f, a * f - c * d), axis=1)[cross]
-    return np.asarray(points / sine[cross, None])
+def _intersections(lines: Array, area: Ellipse) -> Iterator[Array]:
+    """Yield intersections (n, 2) of lines (k, 3) at 30 degrees or more, inside an area or near zero."""
+    for k in range(len(lines) - 1):
+        (a, b, c), (d, e, f) = lines[k], lines[k + 1 :].T
+        sine = a * e - b * d
+        cross = np.abs(sine) > 0.5
+        points = np.stack((c * e - b * f, a * f - c * d), axis=1)[cross] / sine[cross, None]
+        yield points[area.contains(points) | (np.hypot(*points.T) < TOLERANCE)]
 
 
 def _explained(
@@ -173,19 +193,29 @@ def _explained(
 ) -> Mask:
     """Return which observations (n, k) show a landmark from `pose` (3,) plus each translation (n, 2)."""
     out = np.zeros((len(shifts), len(observations)), np.bool_)
+    reach = np.hypot(*shifts.T).max(initial=0.0) + TOLERANCE
     for i, one in enumerate(observations):
         same = [mark for mark in known if mark.kind == one.kind]
         if not same:
             continue
         if one.end_points is None:
-            at = shifts[:, None] + transform(pose, one.z[:2])
-            off = at - np.array([mark.position for mark in same])
+            at = transform(pose, one.z[:2])
+            places = np.array([mark.position for mark in same])
+            off = (shifts + at)[:, None] - places[np.hypot(*(places - at).T) < reach]
             out[:, i] = (np.hypot(off[..., 0], off[..., 1]) < TOLERANCE).any(axis=1)
         else:
-            ends = shifts[:, None] + transform(pose, one.end_points)
+            ends = transform(pose, one.end_points)
             walls = np.array([mark.end_points for mark in same])
-            out[:, i] = _on_walls(ends, walls).any(axis=1)
+            sizes = _lengths(walls) + _lengths(ends[None])
+            middles = walls.mean(axis=1) - ends.mean(axis=0)
+            near = np.hypot(*middles.T) < reach + 0.5 * sizes
+            out[:, i] = _on_walls(shifts[:, None] + ends, walls[near]).any(axis=1)
     return out
+
+
+def _lengths(walls: Array) -> Array:
+    """Return the lengths (m,) of walls (m, 2, 2)."""
+    return np.asarray(np.hypot(*(walls[:, 1] - walls[:, 0]).T))
 
 
 def _on_walls(ends: Array, walls: Array) -> Mask:
@@ -195,7 +225,7 @@ def _on_walls(ends: Array, walls: Array) -> Mask:
     beside = np.abs(np.einsum("nmei,mi->nme", off, normals)) < TOLERANCE
     middle = off.mean(axis=2)
     along = middle[..., 0] * normals[:, 1] - middle[..., 1] * normals[:, 0]
-    length = np.hypot(*(walls[:, 1] - walls[:, 0]).T)
+    length = _lengths(walls)
     return np.asarray(
         beside.all(axis=2) & (np.abs(along - 0.5 * length) < 0.5 * length + TOLERANCE)
     )

@@ -250,7 +250,7 @@ class Graph(Estimator):
         )
 
     def _including_scale(self, covariances: Array, poses: Array) -> Array:
-        """Return covariances that include that of the scale; those of a frozen map already do."""
+        """Return covariances that include that of the scale; in a frozen map they are relative to it."""
         if self._known is not None:
             return covariances
         return with_scale(covariances, poses, self._origin, self.scale_sigma)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from copy import copy
 from typing import NamedTuple, TypeAlias
 
@@ -25,6 +26,7 @@ from impslam.map_builder import valid_points
 from impslam.maps.grid import PlacedScans
 from impslam.maps.layout import undriven
 from impslam.recognition.submap import View, view
+from impslam.surfaces.features import Features
 from impslam.types import NO_EDGES, Array, Edges, Ints, Mask
 
 Points: TypeAlias = npt.NDArray[np.float32]
@@ -191,8 +193,9 @@ class KeyframeLog:
         views = self.views if rows is None else [self.views[row] for row in rows]
         features = [none if view is None else view.features for view in views]
         lasers = [np.zeros(2) if view is None else view.laser for view in views]
-        starts = np.concatenate([[0], np.cumsum([len(r) for r in features])])
-        return ScanFeatures(np.concatenate([none, *features]), starts, np.array(lasers))
+        return ScanFeatures(
+            np.concatenate([none, *features]), _starts(features), np.reshape(lasers, (-1, 2))
+        )
 
     def keyframes(self, poses: Array, rows: Ints) -> Keyframes:
         """Return some rows (r,) of the keyframes, with poses (k, 3) of all, as part of a map."""
@@ -205,8 +208,8 @@ class KeyframeLog:
             poses[rows],
             self.steps[rows],
             np.zeros((len(rows), 3)),
-            np.array(lasers),
-            np.concatenate([[0], np.cumsum([len(p) for p in points])]),
+            np.reshape(lasers, (-1, 2)),
+            _starts(points),
             np.concatenate([NO_POINTS, *points]),
             **undriven(poses[rows]),
         )
@@ -218,6 +221,11 @@ class KeyframeLog:
         """
         features, starts, lasers = self.scans(rows)
         return PlacedScans(poses, lasers, starts, np.ascontiguousarray(features[:, :2]))
+
+
+def _starts(parts: Sequence[Array | Features]) -> Ints:
+    """Return where each of k parts begins in all of them together, and their end: (k + 1,)."""
+    return np.cumsum([0, *map(len, parts)], dtype=np.int64)
 
 
 def revised(keys: KeyframeLog, graph: PoseGraph, rows: Ints | None = None) -> Array:

@@ -160,10 +160,16 @@ class Landmarks(Estimator):
         uncertain = np.trace(self._motion.covariance[:2, :2]) > MAX_GROWTH**2
         if not uncertain and not self._alternatives.watching:
             return
-        landmarks = self._filter.landmarks()
+        landmarks = [mark for mark in self._filter.landmarks() if self._has_place(mark)]
+        seen = [one for one in observations if self._has_place(one)]
         if uncertain:
             self._alternatives.begin(spread, max((mark.id for mark in landmarks), default=-1))
-        self._alternatives.review(predicted, self._filter.pose, observations, landmarks)
+        self._alternatives.review(predicted, self._filter.pose, seen, landmarks)
+
+    def _has_place(self, one: Observation | Landmark) -> bool:
+        """Return whether it is an object with a known place: no GPS frame, no wall without ends."""
+        model = self._models[one.kind]
+        return not model.unique and (one.end_points is not None or not model.has_extent)
 
     def _attempt(self, observations: tuple[Observation, ...], motion: Increment) -> Attempt:
         choice = self._filter.associate(observations, self._association)

@@ -48,12 +48,11 @@ def fits_elsewhere(before: Array, keyframe: Keyframe, keys: KeyframeLog, graph: 
         query,
     )
 
-    if keyframe.scan is None:
-        return False
     motion, (radius, turn) = keyframe.motion, keyframe.reach
     pose = compose(before, motion.d_pose)
+    if keyframe.scan is None or (finder := _surroundings(pose, radius, keys, graph)) is None:
+        return False
     scans = query([view(keyframe.scan)], np.zeros((1, 3)))
-    finder = _surroundings(pose, radius, keys, graph)
     here = finder.align(scans, pose)
     information = np.linalg.inv(motion.covariance + MIN_SIGMA**2 * np.eye(3))
     least = _score(finder.explain(scans, here)) + math.log(1.0 - FOUND_PROBABILITY) / EVIDENCE
@@ -80,11 +79,16 @@ def _score(explanation: Explanation) -> float:
     return explanation.score / max(1.0 - explanation.unknown, 1e-9)
 
 
-def _surroundings(pose: Array, reach: float, keys: KeyframeLog, graph: PoseGraph) -> Relocaliser:
-    """Return a finder in the part of the map that is visible from within `reach` m of a pose (3,)."""
+def _surroundings(
+    pose: Array, reach: float, keys: KeyframeLog, graph: PoseGraph
+) -> Relocaliser | None:
+    """Return a finder in the part of the map that is visible from within `reach` m of a pose (3,).
+
+    None if no part is.
+    """
     from impslam.recognition.relocalisation import MAX_RANGE, Relocaliser  # noqa: PLC0415
 
     poses = revised(keys, graph)
     near = np.hypot(*(poses[:, :2] - pose[:2]).T) <= reach + MAX_RANGE
     near &= keys.has_view & (graph.roots[keys.node_before] == 0)
-    return Relocaliser(keys.keyframes(poses, np.flatnonzero(near)))
+    return Relocaliser(keys.keyframes(poses, np.flatnonzero(near))) if near.any() else None

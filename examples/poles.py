@@ -1,7 +1,8 @@
 """An extractor in one file: thin things that stand free, by their nearest point.
 
-Use it with `plugins = ["poles.py"]` and `sensors.lidar.extractors.poles.kind = "poles"`. It needs no
-landmark model of its own: it finds what the shipped kind "cylinder" describes.
+Use it with `plugins = ["poles.py"]` and `sensors.lidar.extractors.cylinders.kind = "poles"`, which replaces
+the extractor of cylinders. It needs no landmark model of its own: it finds what the shipped kind "cylinder"
+describes.
 """
 
 import numpy as np

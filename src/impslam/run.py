@@ -70,7 +70,8 @@ def run(  # noqa: PLR0913  # each is a choice that a user may make
     Raises
     ------
     SourceError
-        If the log cannot be read, contains no usable scan or no odometry, or is in `known` already.
+        If the log cannot be read, contains no usable scan, lacks the odometry that the config requires, or
+        is in `known` already.
     ConfigError
         If the config is invalid.
 
@@ -305,7 +306,7 @@ class Run:
         return functools.partial(_finished, known, estimate, outcome, logs)
 
     def _matched(self) -> Map:
-        """Return the map without what the estimator has of a keyframe that the map has not."""
+        """Return the map without edges to a keyframe that the estimator has, but the map does not."""
         known = self.map()
         inside = np.maximum(known.edges.i, known.edges.j) < len(known.keyframes)
         return replace(known, edges=Edges._make(column[inside] for column in known.edges))
@@ -334,7 +335,8 @@ class Run:
         Raises
         ------
         SourceError
-            If the log contains no usable scan, or no odometry.
+            If the log contains no usable scan, lacks the odometry that the config requires, or is in the
+            continued map already.
         """
         self._refuse_empty(source)
         self.tracker.forget()

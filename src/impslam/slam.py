@@ -34,10 +34,10 @@ from impslam.types import (
 class Slam:
     """Maps scans and odometry that are given as arrays.
 
-    Rows are processed in the order of the calls, so add them in order of time. A scan waits until
-    odometry covers its sweep, but only for the next 25 rows of any stream: then it is used with the
-    odometry so far. So add odometry before the scans, whole or in pieces. Interleave the scans of several
-    lidars. The map is the same to the bit for any number of rows per call.
+    Rows are processed in the order of the calls. Add them in order of time, but odometry ahead of the
+    scans: a scan waits until odometry covers its sweep, for at most 25 further rows of any stream, and is
+    then used with the odometry received so far. Odometry may be added whole or in pieces. Interleave the
+    scans of several lidars. The map is the same to the bit for any number of rows per call.
 
     Parameters
     ----------
@@ -200,7 +200,7 @@ class Slam:
 
     @property
     def pose(self) -> Array:
-        """`T_map_base` (3,) m and rad at the newest scan in use; before it, the start of the config."""
+        """`T_map_base` (3,), m and rad, at the newest scan used; before it, the config's start."""
         path = self._newest.path
         return np.array(self._run.config.start) if path is None else path.poses[-1].copy()
 

@@ -164,8 +164,9 @@ class Jcbb(GatedAssociation):
     odds: float = parameter(
         MIN_ODDS,
         "1",
-        "a pair must make its set this many times as likely as another set of as many pairs, or as an "
-        "unknown object: a wrong match costs as much as this many unused observations",
+        "a pair is used only if its set is this many times as likely as any other set of the same size, "
+        "and as a set in which the observation is a new landmark: a wrong match costs as much as this many "
+        "unused observations",
         ge=1,
     )
 

@@ -177,7 +177,7 @@ def _reported(
     sightings: Sightings,
     log: SightingsLog,
 ) -> list[Landmark]:
-    """Return the landmarks of a kind in the form that users read."""
+    """Return the landmarks of a kind as `types.Landmark`."""
     rows, index, first, counts, fused = members
     states = fused.states[:, : model.dim]
     outlines = model.outline(states, fused.extents)

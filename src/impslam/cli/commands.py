@@ -5,7 +5,7 @@ from __future__ import annotations
 COMMANDS: dict[str, tuple[str, str, tuple[str, ...]]] = {
     "demo": (
         "demo:demo",
-        "Simulate the arena from the thesis, map it, and score the map.",
+        "Simulate a drive through a small arena, map it, and score the map.",
         ("", "--seed 3 -o demo", "-c thesis-both"),
     ),
     "inspect": (
@@ -34,7 +34,7 @@ COMMANDS: dict[str, tuple[str, str, tuple[str, ...]]] = {
     ),
     "map": (
         "map:app",
-        "Inspect, straighten, compare, merge and export maps.",
+        "Inspect, straighten, compare, merge and export maps, and localise scans in them.",
         ("info office.imp", "merge one.imp two.imp -o all.imp"),
     ),
     "robot": (

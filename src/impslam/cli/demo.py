@@ -15,7 +15,7 @@ def demo(
     force: Force = False,
     common: Common | None = None,
 ) -> None:
-    """Simulate the arena of the thesis, map it, and print the map beside the truth.
+    """Simulate a drive through a small arena, map it, and score the map.
 
     Parameters
     ----------

@@ -46,7 +46,7 @@ ALL = "all"
 Runs: TypeAlias = Annotated[
     int | None,
     Parameter(
-        help="Simulated runs per experiment. Default: 1 to 100, by experiment.",
+        help="Simulated runs per experiment. Default: 1 to 100, depending on the experiment.",
         converter=whole_number,
     ),
 ]

@@ -126,14 +126,14 @@ def robot(
 
 @app.command(
     help=console.help_text(
-        "Set the password to drive, or to watch: type it twice, or pipe it to stdin.",
+        "Set the drive password, or with --watch the watch password. Type it twice, or pipe it to stdin.",
         "robot password",
         "",
         "--watch",
     )
 )
 def password(*, watch: Flag = False, common: Common | None = None) -> None:
-    """Set the password to drive, or to watch.
+    """Set the drive password, or with --watch the watch password.
 
     Parameters
     ----------

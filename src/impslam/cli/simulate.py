@@ -48,9 +48,7 @@ def simulate(
         A TOML file with differences from the thesis's robot: tables encoders, lidar, imu, camera,
         overhead.
     settings
-        Override a parameter of the robot: --set lidar.rate=5, --set encoders.track=0.3, --set imu=none;
-        record its on-board camera with --set camera.rate=5, in 5 MP with camera.width=3648 and
-        camera.height=1368. `imp list simulated-robot` lists all parameters.
+        Override a parameter of the robot: --set lidar.rate=5. `imp list simulated-robot` lists them.
     camera
         Also film the drive with an overhead camera, to this video file (.mp4, .avi, .mkv).
     """

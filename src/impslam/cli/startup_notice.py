@@ -43,7 +43,7 @@ class StartupNotice:
         while not self._ended.wait(pause):
             pause, seconds = INTERVAL, time.monotonic() - self._begin
             hint = seconds > COMPILE_HINT_DELAY
-            why = "; the first run compiles for up to a minute" if hint else ""
+            why = "; the first run compiles for a minute or two" if hint else ""
             with self._lock:
                 if not self._ended.is_set():
                     sys.stderr.write(f"{CLEAR}imp {self._command}: starting, {seconds:.0f} s{why}")

@@ -37,7 +37,8 @@ Alternatives = Annotated[
     Repeatable,
     Parameter(
         name="--set",
-        help="Values of a parameter to try: --set filter.kind=ekf,riekf. Repeat for all combinations.",
+        help="Values of a parameter to try: --set filter.kind=ekf,riekf. Repeat the option to try all "
+        "combinations.",
     ),
 ]
 Files = Repeatable

@@ -120,7 +120,7 @@ class Estimator(Component):
 
     @abstractmethod
     def landmarks(self) -> tuple[Landmark, ...]:
-        """Return the landmarks in the form that users read."""
+        """Return the landmarks as `types.Landmark`."""
 
     def landmark_covariance(self) -> Array:
         """Return the joint covariance (2 k, 2 k) of the k `landmarks`, in their order.

@@ -281,7 +281,7 @@ class MultipleHypotheses(Estimator):
         return tuple(agreed)
 
     def landmarks(self) -> tuple[Landmark, ...]:
-        """Return the landmarks of the likeliest hypothesis in the form that users read."""
+        """Return the landmarks of the likeliest hypothesis as `types.Landmark`."""
         best = self._hypotheses[0]
         return tuple(replace(m, id=best.ids[m.id]) for m in best.filter.landmarks())
 

@@ -40,8 +40,8 @@ class Landmarks(Estimator):
     scale_sigma: float = parameter(
         0.0,
         "1",
-        "standard deviation of the scale of a lidar's ranges, and so of the map; with 0, covariances "
-        "are in the metres of the lidar",
+        "standard deviation of the scale of a lidar's ranges, and so of the map; 0: the scale is assumed "
+        "to be exact",
         ge=0,
         le=1,
     )
@@ -243,7 +243,7 @@ class Landmarks(Estimator):
         return revision_with_scale(revision, self._origin, self.scale_sigma)
 
     def landmarks(self) -> tuple[Landmark, ...]:
-        """Return the landmarks in the form that users read."""
+        """Return the landmarks as `types.Landmark`."""
         return self._landmarks_with_scale(self._filter.landmarks())
 
     def landmark_covariance(self) -> Array:

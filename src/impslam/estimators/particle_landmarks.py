@@ -92,7 +92,7 @@ class LandmarkTable:
             average[name] = old + (value - old) / float(self.counts[slot])
 
     def landmark(self, slot: int, weights: Array) -> Landmark:
-        """Return a landmark in the form that users read: mean and covariance over its particles.
+        """Return a landmark as `types.Landmark`: mean and covariance over its particles.
 
         They are computed in the perturbation of the model about the likeliest version; the covariance
         includes that of each particle and the spread of the means.

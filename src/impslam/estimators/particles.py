@@ -275,7 +275,7 @@ class Particles(Estimator):
         return Revision(np.array([keyframe.id]), pose[None], covariance[None], **facts)
 
     def landmarks(self) -> tuple[Landmark, ...]:
-        """Return the landmarks of most particles, in the form that users read."""
+        """Return the landmarks of most particles as `types.Landmark`."""
         weights = self._weights()
         return tuple(
             table.landmark(slot, weights) for table, slot in map(self._find, sorted(self._mapped))

@@ -27,25 +27,25 @@ class Circle(Extractor):
     landmark = "cylinder"
 
     radius: float | None = parameter(
-        None, "m", "Radius, if known and the same for all cylinders.", gt=0.0
+        None, "m", "radius, if known and the same for all cylinders", gt=0.0
     )
     radius_min: float = parameter(
-        0.03, "m", "Thinnest cylinder; below, a few millimetres of noise make a circle.", gt=0.0
+        0.03, "m", "thinnest cylinder; below, a few millimetres of noise make a circle", gt=0.0
     )
     radius_max: float = parameter(
-        0.4, "m", "Thickest cylinder; pillars and bins are thinner, rounded walls thicker.", gt=0.0
+        0.4, "m", "thickest cylinder; pillars and bins are thinner, rounded walls thicker", gt=0.0
     )
     min_points: int = parameter(
         5,
         "1",
-        "Minimum number of beams on a cylinder; three define a circle, two more confirm it.",
+        "minimum number of beams on a cylinder; three define a circle, two more confirm it",
         ge=4,
     )
     max_chi2: float = parameter(
-        3.0, "1", "Largest mean squared residual, in variances, of a round surface.", gt=1.0
+        3.0, "1", "largest mean squared residual, in variances, of a round surface", gt=1.0
     )
     max_radius_sigma: float = parameter(
-        0.25, "1", "Largest standard deviation of the radius, as a fraction of it.", gt=0.0
+        0.25, "1", "largest standard deviation of the radius, as a fraction of it", gt=0.0
     )
 
     @model_validator(mode="after")

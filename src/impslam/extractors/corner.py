@@ -34,23 +34,23 @@ class Corner(StraightPieces):
     landmark = "corner"
 
     min_length: float = parameter(
-        0.3, "m", "Shortest side; boxes and door frames are smaller.", gt=0.0
+        0.3, "m", "shortest side; boxes and door frames are smaller", gt=0.0
     )
     min_angle: float = parameter(
         math.radians(50.0),
         "rad",
-        "Smallest angle between the sides' lines; flatter ones meet anywhere along a wall.",
+        "smallest angle between the sides' lines; flatter ones meet anywhere along a wall",
         gt=0.0,
         le=math.pi / 2.0,
     )
     reach: float = parameter(
         0.03,
         "m",
-        "Largest distance of a side's end from the intersection; skirting and mouldings.",
+        "largest distance of a side's end from the intersection; skirting and mouldings",
         ge=0.0,
     )
     max_sigma: float = parameter(
-        0.05, "m", "Largest standard deviation of the corner in any direction.", gt=0.0
+        0.05, "m", "largest standard deviation of the corner in any direction", gt=0.0
     )
 
     def extract(self, scan: Scan, rng: np.random.Generator) -> list[Observation]:

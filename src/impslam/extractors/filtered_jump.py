@@ -32,17 +32,17 @@ class FilteredJump(Jump):
     threshold: float = parameter(
         15.0,
         "m/rad",
-        "Jump of the range per angle that bounds a candidate: 0.09 m between two beams of a "
+        "jump of the range per angle that bounds a candidate: 0.09 m between two beams of a "
         "URG-04LX, low as in the thesis, above the steps over a cylinder's own curve at 4 m",
         gt=0.0,
     )
     min_points: int = parameter(
-        11, "1", "Minimum number of readings on a candidate (thesis 5.2.1)", ge=2
+        11, "1", "minimum number of readings on a candidate (thesis 5.2.1)", ge=2
     )
     narrowest: float = parameter(
         0.7,
         "1",
-        "Smallest angular width of a candidate relative to the predicted one: of 11 readings, the "
+        "smallest angular width of a candidate relative to the predicted one: of 11 readings, the "
         "minimum, up to two at each edge are lost to the curve and to mixed ranges",
         ge=0.0,
         le=1.0,
@@ -50,14 +50,14 @@ class FilteredJump(Jump):
     widest: float = parameter(
         1.3,
         "1",
-        "Largest angular width relative to the predicted one: a beam's own width and mixed ranges "
+        "largest angular width relative to the predicted one: a beam's own width and mixed ranges "
         "add up to two readings of 11 at each edge, hardly ever all",
         ge=1.0,
     )
     curvature: float = parameter(
         0.09,
         "1",
-        "Smallest root mean square distance from the least-squares line, relative to the chord "
+        "smallest root mean square distance from the least-squares line, relative to the chord "
         "(thesis 5.2.1: 9 %); 0.112 for a cylinder, 0 for a wall",
         ge=0.0,
     )

@@ -54,43 +54,43 @@ class Hough(Extractor):
     landmark: ClassVar[str] = "wall"
 
     size: int = parameter(
-        1000, "px", "Side of the image, the robot in its middle (thesis 4.2.4)", ge=3, le=20_000
+        1000, "px", "side of the image, the robot in its middle (thesis 4.2.4)", ge=3, le=20_000
     )
     resolution: float = parameter(
-        0.01, "m", "Side of a pixel (thesis 4.2.4); with the size it makes 10 m x 10 m", gt=0.0
+        0.01, "m", "side of a pixel (thesis 4.2.4); with the size it makes 10 m x 10 m", gt=0.0
     )
     rho_bin: float = parameter(
         0.02,
         "m",
-        "Resolution of the distance: nearer parallel walls are one (thesis 5.2.2)",
+        "resolution of the distance: nearer parallel walls are one (thesis 5.2.2)",
         gt=0.0,
     )
     angle_bin: float = parameter(
         math.pi / 18.0,
         "rad",
-        "Resolution of the angle: walls at less than it are one (thesis 5.2.2: 10 deg)",
+        "resolution of the angle: walls at less than it are one (thesis 5.2.2: 10 deg)",
         gt=0.0,
         le=math.pi / 2.0,
     )
     threshold: int = parameter(
         20,
         "px",
-        "Pixels in a cell that a wall must exceed. The worst wall, 5 deg off its bin of angle, "
-        "crosses the 2 cm bin in 0.23 m: 23 pixels of 1 cm, if beams are that dense. A lower value finds "
+        "pixels in a cell that a wall must exceed: the worst wall, 5 deg off its bin of angle, "
+        "crosses the 2 cm bin in 0.23 m: 23 pixels of 1 cm, if beams are that dense; a lower value finds "
         "more walls between bins or far away, and more spurious lines",
         ge=1,
     )
     sigma_rho: float = parameter(
         0.05,
         "m",
-        "Standard deviation of rho, thesis Eq. 4.9: the bin of distance (20 mm / sqrt 12) and that "
+        "standard deviation of rho, thesis Eq. 4.9: the bin of distance (20 mm / sqrt 12) and that "
         "of the angle at 1 m, the typical distance of readings from the foot of the wall's normal",
         gt=0.0,
     )
     sigma_alpha: float = parameter(
         0.05,
         "rad",
-        "Standard deviation of alpha, thesis Eq. 4.9: 10 deg / sqrt 12, of a uniform error in a bin",
+        "standard deviation of alpha, thesis Eq. 4.9: 10 deg / sqrt 12, of a uniform error in a bin",
         gt=0.0,
     )
 

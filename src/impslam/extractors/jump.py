@@ -62,24 +62,24 @@ class Jump(Extractor):
     threshold: float = parameter(
         50.0,
         "m/rad",
-        "Jump of the range per angle that bounds an object: 0.3 m between two beams of a "
+        "jump of the range per angle that bounds an object: 0.3 m between two beams of a "
         "URG-04LX (0.352 deg), twice what a wall 4 m away shows at 80 deg incidence (4 tan 80 deg)",
         gt=0.0,
     )
     radius: float = parameter(
-        0.1524, "m", "Known radius of the cylinders (6 in, thesis 5.2.1)", ge=0.0
+        0.1524, "m", "known radius of the cylinders (6 in, thesis 5.2.1)", ge=0.0
     )
     sigma_range: float = parameter(
         0.03,
         "m",
-        "Standard deviation of the distance, thesis Eq. 4.9: one reading of a URG-04LX in the "
+        "standard deviation of the distance, thesis Eq. 4.9: one reading of a URG-04LX in the "
         "middle of its range (1 % of 3 m)",
         gt=0.0,
     )
     sigma_bearing: float = parameter(
         0.006,
         "rad",
-        "Standard deviation of the bearing, thesis Eq. 4.9: one step of a URG-04LX (360/1024 deg), "
+        "standard deviation of the bearing, thesis Eq. 4.9: one step of a URG-04LX (360/1024 deg), "
         "for edges that fall between beams and a beam 20 to 40 mm wide",
         gt=0.0,
     )

@@ -117,14 +117,14 @@ class Ransac(Extractor):
     sigma_rho: float = parameter(
         0.02,
         "m",
-        "Standard deviation of rho, thesis Eq. 4.9: the error common to a URG-04LX's readings at "
+        "standard deviation of rho, thesis Eq. 4.9: the error common to a URG-04LX's readings at "
         "2 m (1 %), which does not average out",
         gt=0.0,
     )
     sigma_alpha: float = parameter(
         0.02,
         "rad",
-        "Standard deviation of alpha, thesis Eq. 4.9: that shared error from one end to the other "
+        "standard deviation of alpha, thesis Eq. 4.9: that shared error from one end to the other "
         "of a metre of wall",
         gt=0.0,
     )

@@ -28,25 +28,25 @@ class Reflector(Extractor):
     landmark = "point"
 
     threshold: float = parameter(
-        1.0, "device", "Smallest brightness of a reflector's echo, in the lidar's unit.", gt=0.0
+        1.0, "device", "smallest brightness of a reflector's echo, in the lidar's unit", gt=0.0
     )
     max_gap: float = parameter(
-        0.5, "m", "Bright echoes farther apart than this belong to two reflectors.", gt=0.0
+        0.5, "m", "bright echoes farther apart than this belong to two reflectors", gt=0.0
     )
     max_size: float = parameter(
         1.0,
         "m",
-        "Widest beacon; signs, number plates and glossy walls are wider.",
+        "widest beacon; signs, number plates and glossy walls are wider",
         gt=0.0,
     )
     min_beams: int = parameter(
-        1, "1", "Minimum number of bright beams; from 10 m on one beam or none hits a post.", ge=1
+        1, "1", "minimum number of bright beams; from 10 m on one beam or none hits a post", ge=1
     )
     radius: float = parameter(
-        0.0, "m", "Radius of the post: distance of its axis behind the surface.", ge=0.0
+        0.0, "m", "radius of the post: distance of its axis behind the surface", ge=0.0
     )
     sigma_surface: float = parameter(
-        0.02, "m", "Standard deviation of the hit point from the middle of the reflector.", ge=0.0
+        0.02, "m", "standard deviation of the hit point from the middle of the reflector", ge=0.0
     )
 
     def extract(self, scan: Scan, rng: np.random.Generator) -> list[Observation]:

@@ -27,24 +27,24 @@ def _segments(scan: Scan, flatness: float, gap: float) -> Segments:
 class StraightPieces(Extractor):
     """Base class of extractors that use straight pieces."""
 
-    min_length: float = parameter(0.4, "m", "Shortest piece.", gt=0.0)
+    min_length: float = parameter(0.4, "m", "shortest piece", gt=0.0)
     min_points: int = parameter(
         6,
         "1",
-        "Minimum number of beams on a piece; from 6 on residuals distinguish a line from a curve.",
+        "minimum number of beams on a piece; from 6 on residuals distinguish a line from a curve",
         ge=3,
     )
     flatness: float = parameter(
         0.005,
         "m",
-        "Standard deviation of a wall from a straight line; finished walls are within 5 mm over 1 m.",
+        "standard deviation of a wall from a straight line; finished walls are within 5 mm over 1 m",
         ge=0.0,
     )
     gap: float = parameter(
-        1.0, "m", "Widest occlusion across which collinear pieces are one wall.", ge=0.0
+        1.0, "m", "widest occlusion across which collinear pieces are one wall", ge=0.0
     )
     max_chi2: float = parameter(
-        3.0, "1", "Largest mean squared residual, in variances, of a straight surface.", gt=1.0
+        3.0, "1", "largest mean squared residual, in variances, of a straight surface", gt=1.0
     )
 
     def _pieces(self, scan: Scan) -> tuple[Segments, Ints]:
@@ -69,7 +69,7 @@ class SplitMerge(StraightPieces):
     landmark = "wall"
 
     min_length: float = parameter(
-        0.4, "m", "Shortest wall; legs, boxes and cylinders are narrower.", gt=0.0
+        0.4, "m", "shortest wall; legs, boxes and cylinders are narrower", gt=0.0
     )
 
     def extract(self, scan: Scan, rng: np.random.Generator) -> list[Observation]:

@@ -129,7 +129,7 @@ class Archive:
     def report(
         self, atlas: Atlas, shift: Array, blocks: Mapping[int, Array]
     ) -> tuple[Landmark, ...]:
-        """Return the landmarks in the form that users read, by id.
+        """Return the landmarks as `types.Landmark`, by id.
 
         `shift` (n, dim) are the shifts of all, `blocks` the covariances (dim, dim) by id; `atlas` has the
         averages.

@@ -271,7 +271,7 @@ class Atlas:
         return out.reshape(2 * len(ids), A.shape[1])
 
     def landmarks(self, belief: HasBlocks) -> tuple[Landmark, ...]:
-        """Return the landmarks in the form that users read, by id."""
+        """Return the landmarks as `types.Landmark`, by id."""
         found = []
         for kind, table in self._tables.items():
             states = table.states(belief.mean)

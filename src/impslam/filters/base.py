@@ -191,12 +191,13 @@ class Filter(Component):
     def outlines(self) -> tuple[Ints, Array]:
         """Return the ids (k,) of visible landmarks and their ends (k, 2, 2) in map.
 
-        All of them, or at least those that may be in view; unique ones, as a GPS frame, are not visible.
+        These are all landmarks, or at least all that may be in view. Unique landmarks, such as a GPS frame,
+        are not visible and not included.
         """
 
     @abstractmethod
     def landmarks(self) -> tuple[Landmark, ...]:
-        """Return the landmarks in the form that users read."""
+        """Return the landmarks as `types.Landmark`."""
 
     def landmark_covariance(self) -> Array:
         """Return the joint covariance (2 k, 2 k) of the k `landmarks`, in their order.

@@ -101,7 +101,7 @@ class GaussianFilter(Filter):
         return self._atlas.outlines(self._belief.mean)
 
     def landmarks(self) -> tuple[Landmark, ...]:
-        """Return the landmarks in the form that users read."""
+        """Return the landmarks as `types.Landmark`."""
         return self._atlas.landmarks(self._belief)
 
     def landmark_covariance(self) -> Array:

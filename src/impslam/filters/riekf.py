@@ -159,7 +159,7 @@ class RightInvariantEkf(Ekf):
         return P
 
     def landmarks(self) -> tuple[Landmark, ...]:
-        """Return the landmarks in the form that users read, with covariances as for the pose."""
+        """Return the landmarks as `types.Landmark`, with covariances as for the pose."""
         turned = self._turned_places()
         return tuple(
             replace(m, covariance=m.covariance + _arc(turned[m.id])) if m.id in turned else m

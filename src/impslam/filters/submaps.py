@@ -134,7 +134,7 @@ class SubmapEkf(Ekf):
         self._keep(own)
 
     def landmarks(self) -> tuple[Landmark, ...]:
-        """Return all landmarks in the form that users read; no estimate changes."""
+        """Return all landmarks as `types.Landmark`; no estimate changes."""
         self._store()
         archive = self._archive
         shift, blocks = np.zeros_like(archive.shift), dict[int, Array]()

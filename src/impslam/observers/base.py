@@ -101,7 +101,7 @@ def finish_all(observers: Iterable[Observer], known: Map, outcome: Outcome) -> N
 
 
 def checked_observers(observers: Iterable[Observer]) -> list[Observer]:
-    """Return a user's observers as a list; raise `ConfigError` if they are not some."""
+    """Return a user's observers as a list; raise `ConfigError` if they are not `Observer` objects."""
     given = list(observers) if isinstance(observers, Iterable) else None
     if given is None or not all(isinstance(one, Observer) for one in given):
         raise ConfigError(f"observers = {shorten(observers)}: expected a list of Observer")

@@ -179,14 +179,14 @@ class Source(Component):
         return ""
 
     def missing_scans(self) -> str:
-        """Say how scans can be made of what a log without scans contains; "" if that is unknown.
+        """Return how to make scans from the data of a log that has none, or "" if that is unknown.
 
         The source must be open, or have been open.
         """
         return ""
 
     def explain_emptiness(self) -> str:
-        """Return the message on a log without a usable scan: how to have some, or the commonest problem."""
+        """Return the error for a log without a usable scan: what to do, or its most frequent problem."""
         counts, examples = self.problems.counts, self.problems.examples
         most = max(counts, key=lambda kind: counts[kind], default="")
         why = self.missing_scans() or (most and f"{counts[most]} x {most}: {examples[most]}")

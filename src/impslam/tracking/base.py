@@ -55,7 +55,7 @@ _CARRIED = (
 
 
 class KeyframeGate(Parameters):
-    """Selects the scans that are searched for landmarks: one after some motion, or after some time.
+    """Selects keyframes, the scans passed to the estimator: one after a distance, a turn or a time.
 
     Scans from one place repeat their errors (brightness of the surface, the mount, the lidar's own bias);
     treating them as independent would make the estimate overconfident. Between keyframes the pose is that

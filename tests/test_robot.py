@@ -179,6 +179,7 @@ def test_any_cutting_gives_the_same_bytes(recording):
 
 def test_it_is_what_the_reference_gives(recording):
     robot = make(recording.kind)
+    robot.wait_for_rows_only()
     found = sensed(robot, recording.log, 512)
     sensors = {name: build("sensor", table) for name, table in SENSORS.items()}
     reference = Reference(robot.odometry, "wheels", {n: (n, s) for n, s in sensors.items()})
@@ -315,6 +316,7 @@ def test_sweeps_come_in_runs_of_one_sensor_in_the_order_of_the_log():
 
 def test_a_sweep_waits_no_longer_than_its_patience_for_rows_that_nobody_reads():
     robot = lidars(a="")
+    robot.wait_for_rows_only()
     assert not list(robot.sense(single_row("scan", scan(1.0), 0)))
     for order in range(1, MAX_WAIT):
         assert not list(robot.sense(single_row("eye", Image(1.0, "jpeg", b""), order)))

@@ -130,6 +130,10 @@ class Robot:
         self._record_faults()
         return iter(found)
 
+    def wait_for_rows_only(self) -> None:
+        """Do not wait `MAX_LATE` s for late odometry: the map of a live robot must not lag behind it."""
+        self._synchroniser.max_late = 0.0
+
     def ahead(self) -> Increment:
         """Return the motion from the middle of the newest sweep to the newest odometry.
 

@@ -35,8 +35,8 @@ class Slam:
     """Maps scans and odometry that are given as arrays.
 
     Rows are processed in the order of the calls. Add them in order of time, but odometry ahead of the
-    scans: a scan waits until odometry covers its sweep, for at most 25 further rows of any stream, and is
-    then used with the odometry received so far. Odometry may be added whole or in pieces. Interleave the
+    scans: a scan waits for odometry that covers its sweep, for the next 25 rows of any stream at most, and
+    is then used with the odometry received so far. Odometry may be added whole or in pieces. Interleave the
     scans of several lidars. The map is the same to the bit for any number of rows per call.
 
     Parameters
@@ -87,6 +87,7 @@ class Slam:
         if begin is not None:
             chosen = for_continuing(chosen, settings)
         self._run = Run(chosen, [self._newest, *checked_observers(observers)], begin)
+        self._run.robot.wait_for_rows_only()
         self._progress, self._order = progress, 0
         self._newest_stamps: dict[str, float] = {}  # by stream
         self._newest_scans: dict[str, float] = {}  # stamps by stream, of scans alone

@@ -11,6 +11,7 @@ from tests.sensing import at_rest, joined, split
 
 from impslam.columns import Motions
 from impslam.geometry.se2 import compose, exp
+from impslam.noise import MAX_GAP
 from impslam.odometry.stream import unknown_motions
 from impslam.odometry.synchroniser import END, MAX_WAIT, PendingSweeps, Synchroniser
 from impslam.types import Increment
@@ -130,10 +131,50 @@ def test_a_sweep_waits_for_so_many_rows_of_any_stream_and_gets_no_later_motion()
     late = moving([1.0, 1.01])
     for place, expected in ((10 + MAX_WAIT, 1.01), (11 + MAX_WAIT, 1.0)):
         synchroniser = fed(np.linspace(0.0, 1.0, 11))
+        synchroniser.max_late = 0.0
         waiting = sweeps([5.0], order=[10])
         assert len(synchroniser.feed(*NOTHING, waiting, 10 + MAX_WAIT - 1).twists) == 0
         got = synchroniser.feed(np.array([place]), late, waiting, place)
         assert got.motions.duration[0] == pytest.approx(expected)
+
+
+def late(before, after, scans=20):
+    """Return what sweeps get if odometry at 10 Hz up to `before` s comes 1000 rows before the rest.
+
+    The rest begins at `after` s. The sweeps are 0.1 s apart, from 1.05 s on.
+    """
+    synchroniser = fed(np.linspace(0.0, before, 11))
+    waiting = sweeps(1.05 + 0.1 * np.arange(scans), order=10 + 10 * np.arange(scans))
+    assert not len(synchroniser.feed(*NOTHING, waiting, 1000).twists)
+    rest = moving(np.linspace(after, after + 5.0, 51))
+    first = moving([before, after])
+    motions = Motions(*map(np.concatenate, zip(first, rest, strict=True)))
+    return synchroniser.feed(1001 + np.arange(51), motions, waiting, 1051)
+
+
+def test_odometry_that_comes_late_in_a_log_is_used():
+    got = late(1.0, 1.1)
+    assert len(got.twists) == 20
+    np.testing.assert_allclose(got.motions.d_pose[0], exp(1.05 * TWIST), atol=1e-12)
+    np.testing.assert_allclose(
+        got.motions.d_pose[1:], np.tile(exp(0.1 * TWIST), (19, 1)), atol=1e-12
+    )
+
+
+def test_sweeps_in_a_gap_of_odometry_get_no_share_of_the_motion_across_it():
+    got = late(1.0, 1.0 + MAX_GAP + 0.1)
+    assert len(got.twists) == 20
+    np.testing.assert_allclose(got.motions.d_pose[0], exp(TWIST), atol=1e-12)
+    assert not got.motions.d_pose[1:].any()
+
+
+@pytest.mark.parametrize(("step", "waits"), [(0.1, 300), (10.0, 10)])
+def test_late_odometry_is_awaited_for_some_time_of_later_sweeps(step, waits):
+    """A gap between sweeps does not count as waiting."""
+    synchroniser = fed([0.0, 0.1])
+    waiting = sweeps(1.0 + step * np.arange(400), order=1 + np.arange(400))
+    got = synchroniser.feed(*NOTHING, waiting, 400)
+    assert len(got.twists) == min(400 - waits, 400 - MAX_WAIT)
 
 
 def test_a_late_stamp_is_reached_by_pending_motion_without_using_it():

@@ -2,9 +2,11 @@
 
 Motions are kept until a sweep needs them. A sweep waits until odometry covers its end, or until
 odometry has the same stamp (both were then recorded together, and all motion belongs before the sweep),
-but for at most `MAX_WAIT` rows of the log. If its stamp is later than its end, it also waits for odometry
-to reach the stamp, until none has come for `MAX_WAIT` rows. It gets the motion from the middle of the
-previous sweep to its own middle. A motion that spans the middle is split there, at constant twist.
+but for at most `MAX_WAIT` rows of any stream. In a recorded log, it also waits for `MAX_LATE` s of later
+sweeps, unless odometry resumes after a gap in its stamps: then it was missing, not late. If the stamp of a
+sweep is later than its end, it also waits for odometry to reach the stamp, until none has come for
+`MAX_WAIT` rows. It gets the motion from the middle of the previous sweep to its own middle. A motion that
+spans the middle is split there, at constant twist.
 
 Where stamps are unusable (see `clocks`), a sweep gets all odometry before it in the log, and does not wait.
 
@@ -19,6 +21,7 @@ import numpy as np
 
 from impslam.columns import Motions
 from impslam.geometry.kernels import kernel
+from impslam.noise import MAX_GAP
 from impslam.odometry.timeline import (
     ARRIVED,
     COVARIANCE,
@@ -41,6 +44,9 @@ from impslam.types import Array, Increment, Ints, Mask
 
 MAX_WAIT = 25
 """Rows of the log after which a sweep waits no longer for odometry and is used with the motion so far."""
+MAX_LATE = 30.0
+"""s by which odometry may come later in a log than sweeps of the same time: recorders store messages as
+they arrive, and radio links deliver them in blocks. A live robot does not wait for it."""
 MAX_DELAY = 10.0
 """s from the end of a sweep to its stamp, of clocks of two computers that nothing synchronises. Odometry is
 awaited for so long, and the diagnosis searches for such delays; a later stamp is one of another clock."""
@@ -102,10 +108,16 @@ class Synchronised(NamedTuple):
 
 
 class Synchroniser:
-    """Keeps the motion that no sweep has used yet, in arrays that kernels update from batch to batch."""
+    """Keeps the motion that no sweep has used yet, in arrays that kernels update from batch to batch.
+
+    Attributes
+    ----------
+    max_late : s of later sweeps for which a sweep waits for odometry, besides `MAX_WAIT` rows
+    """
 
     def __init__(self, max_motions: int = MAX_MOTIONS) -> None:
         self._state = begin(max_motions)
+        self.max_late = MAX_LATE
 
     def feed(
         self, order: Ints, motions: Motions, pending: PendingSweeps, last: int
@@ -121,7 +133,8 @@ class Synchroniser:
         last : position in the log of the newest row of any stream; `END` at the end of the log
         """
         out = np.empty((len(pending.order), 2 * WIDTH + 3))
-        count = _synchronise(self._state, (order, *motions), pending[:], last, out)
+        wait = (last, self.max_late)
+        count = _synchronise(self._state, (order, *motions), pending[:], wait, out)
         return _unpacked(out[:count], 0.5 * (pending.begins[:count] + pending.ends[:count]))
 
     def ahead(self) -> Increment:
@@ -182,14 +195,16 @@ def _use(state: _State, begin: float, end: float, stamp: float, by_order: bool, 
 
 
 @kernel
-def _ready(marks: Array, begin: float, end: float, stamp: float, order: int, last_row: int) -> bool:
-    """Return whether a sweep can be used now."""
+def _ready(
+    marks: Array, begin: float, end: float, stamp: float, order: int, last_row: int, late: bool
+) -> bool:
+    """Return whether a sweep can be used now; with `late`, odometry is no longer awaited."""
     together = begin == end and stamp == marks[LAST]
     if together or marks[NEWEST] >= max(end, stamp):
         return True
     is_covered = marks[NEWEST] >= end  # but its stamp is not
     since = max(float(order), marks[ARRIVED]) if is_covered else float(order)
-    return last_row - since >= MAX_WAIT
+    return last_row - since >= MAX_WAIT and (is_covered or late)
 
 
 @kernel
@@ -207,13 +222,22 @@ def _append_motion(state: _State, odometry: _Odometry, k: int) -> None:
 
 @kernel
 def _release(
-    state: _State, sweeps: _Sweeps, used: int, arrived: int, last_row: int, out: Array
+    state: _State,
+    sweeps: _Sweeps,
+    used: int,
+    arrived: int,
+    last_row: int,
+    missing: int,
+    out: Array,
 ) -> int:
-    """Use the sweeps from index `used` on that are ready; return the new number of used sweeps."""
+    """Use the sweeps from index `used` on that are ready; return the new number of used sweeps.
+
+    Those before index `missing` do not wait for late odometry.
+    """
     order, begins, ends, stamps, usable, by_order = sweeps
     while used < arrived:
-        begin, end, stamp = begins[used], ends[used], stamps[used]
-        ready = by_order[used] or _ready(state[2], begin, end, stamp, order[used], last_row)
+        begin, end, stamp, late = begins[used], ends[used], stamps[used], used < missing
+        ready = by_order[used] or _ready(state[2], begin, end, stamp, order[used], last_row, late)
         if not ready:
             break
         if usable[used]:
@@ -223,22 +247,42 @@ def _release(
 
 
 @kernel
-def _synchronise(state: _State, odometry: _Odometry, sweeps: _Sweeps, last: int, out: Array) -> int:
+def _synchronise(
+    state: _State,
+    odometry: _Odometry,
+    sweeps: _Sweeps,
+    wait: tuple[int, float],
+    out: Array,
+) -> int:
     """Process odometry rows and sweeps in the order of the log; return the number of used sweeps.
 
     Rows of other streams only count as waiting time: a sweep that reaches `MAX_WAIT` between two rows
-    is used before the later one.
+    is used before the later one. `wait` are the newest row of any stream, and the longest wait for late
+    odometry, s.
     """
     odometry_order, sweep_order = odometry[0], sweeps[0]
-    used, arrived, k = 0, 0, 0
+    waited, durations, (last, max_late) = _waiting_time(sweeps[2]), odometry[4], wait
+    used, arrived, k, missing = 0, 0, 0, 0
     while k < len(odometry_order) or arrived < len(sweep_order):
         now = odometry_order[k] if k < len(odometry_order) else END
         if arrived < len(sweep_order):
             now = min(now, sweep_order[arrived])
-        used = _release(state, sweeps, used, arrived, now - 1, out)
+        is_gap = k < len(odometry_order) and odometry_order[k] == now and durations[k] > MAX_GAP
+        used = _release(state, sweeps, used, arrived, now - 1, arrived if is_gap else missing, out)
         if k < len(odometry_order) and odometry_order[k] == now:
             _append_motion(state, odometry, k)
             k += 1
         if arrived < len(sweep_order) and sweep_order[arrived] == now:
             arrived += 1
-    return _release(state, sweeps, used, arrived, last, out)
+            while missing < arrived and waited[arrived - 1] - waited[missing] >= max_late:
+                missing += 1
+    return _release(state, sweeps, used, arrived, last, arrived if last == END else missing, out)
+
+
+@kernel
+def _waiting_time(ends: Array) -> Array:
+    """Return the time (w,) s of sweeps with these ends, in which gaps count as `MAX_GAP`."""
+    out = np.zeros(len(ends))
+    for k in range(1, len(ends)):
+        out[k] = out[k - 1] + min(max(ends[k] - ends[k - 1], 0.0), MAX_GAP)
+    return out

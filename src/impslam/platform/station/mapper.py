@@ -164,6 +164,7 @@ class LiveMap:
         known = None if continued is None else continued.known
         self.run = Run(self._config, [self._truth, view], known)
         robot = self.run.robot
+        robot.wait_for_rows_only()
         self._scan_types = tuple(sensor.consumes for sensor in robot.sensors.values())
         self._message_types = (*robot.streams.consumes, TruePose)
         kinds = (robot.odometry.consumes, *self._scan_types)

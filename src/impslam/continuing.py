@@ -266,6 +266,20 @@ def _from(T: Array, track: Track) -> Track:
     return replace(track, T_anchor_base=poses, covariance=covariances, keyframe=keyframe)
 
 
+def same_scans(one: Map, other: Map) -> int:
+    """Return the number of scans with equal stamps in two maps, if their odometry is equal as well; else 0.
+
+    0 if the robot moved too little during these to tell two drives apart.
+    """
+    _, i, j = np.intersect1d(one.stamps, other.stamps, return_indices=True)
+    if not len(i):
+        return 0
+    driven = between(one.odometry_poses[i[0]], one.odometry_poses[i])
+    difference = between(driven, between(other.odometry_poses[j[0]], other.odometry_poses[j]))
+    is_same = np.abs(difference).max() < ODOMETRY_TOLERANCE and np.abs(driven).max() > CONCLUSIVE
+    return len(i) if is_same else 0
+
+
 def logs_of(known: Map) -> list[dict[str, Any]]:
     """Return the logs of a map in their order, each with the number of its scans in the map."""
     about, logs = known.about, known.about.get("logs")

@@ -15,7 +15,8 @@ ANGLES = regular_angles(361, 2.0 * np.pi * 0.75)
 def mapped(plan, truth, circles=None, T=(0.0, 0.0, 0.0), noise=0.01, seed=0, landmarks=()):
     """Return the map of a plan (w, 2, 2) that true poses (k, 3) give, as seen from another frame.
 
-    What lies at p in the plan lies at T p in the map; two sweeps hang on each keyframe.
+    What lies at p in the plan lies at T p in the map; two sweeps hang on each keyframe. The seed determines
+    the noise of the scans and of odometry.
     """
     rng, k = np.random.default_rng(seed), len(truth)
     look = {"angles": ANGLES, "noise": noise, "range_max": 20.0, "rng": rng}
@@ -34,8 +35,9 @@ def mapped(plan, truth, circles=None, T=(0.0, 0.0, 0.0), noise=0.01, seed=0, lan
         np.full(k - 1, np.inf),
     )  # fmt: skip
     path = compose(poses[anchors], steps)
+    odometry = path + np.cumsum(rng.normal(0.0, 0.003, path.shape), axis=0)
     return Map(
         keyframes, tuple(landmarks), np.arange(2.0 * k) / 2, anchors, steps,
-        np.tile([1e-5, 0, 0, 1e-5, 0, 1e-6], (2 * k, 1)), path, path, steps, edges,
+        np.tile([1e-5, 0, 0, 1e-5, 0, 1e-6], (2 * k, 1)), odometry, path, steps, edges,
         about={"log": "drawn"},
     )  # fmt: skip

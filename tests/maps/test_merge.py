@@ -103,9 +103,29 @@ def test_maps_that_contain_the_same_log_are_refused(first, second):
 def test_maps_share_no_log_that_is_unknown_or_without_scans():
     one, other = drives(LEFT[:4], MIDDLE[:4])
     there = {"monday": 48, "localised": 0}, {"localised": 0, "": 48}
+    maps = [
+        replace(known, about=logs(**about))
+        for known, about in zip((one, other), there, strict=True)
+    ]
     check_logs([one, other], ["a", "b"])
-    check_logs([replace(one, about=logs(**about)) for about in there], ["a", "b"])
-    check_logs([replace(one, about=logs(**{"": 48}))] * 2, ["a", "b"])
+    check_logs(maps, ["a", "b"])
+    check_logs([replace(known, about=logs(**{"": 48})) for known in (one, other)], ["a", "b"])
+
+
+def test_maps_without_hashes_that_contain_the_same_scans_are_refused():
+    """The second map lacks some scans, as that of a robot that was too slow for its lidar."""
+    one, other = drives(LEFT, MIDDLE)
+    rows = np.delete(np.arange(len(one.stamps)), [3, 7])
+    fewer = replace(
+        one,
+        stamps=one.stamps[rows],
+        anchors=one.anchors[rows],
+        tracked=one.tracked[rows],
+        odometry_poses=one.odometry_poses[rows],
+    )
+    with pytest.raises(ConfigError, match=r"a and b both contain the same \d+ scans, which would"):
+        check_logs([one, fewer], ["a", "b"])
+    check_logs([one, other], ["a", "b"])
 
 
 def test_nothing_is_changed_where_nothing_is_merged():

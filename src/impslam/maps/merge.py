@@ -10,10 +10,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import combinations
 from typing import Any
 
 from impslam.config import Config, load
-from impslam.continuing import logs_of, mapped_logs
+from impslam.continuing import logs_of, mapped_logs, same_scans
 from impslam.errors import ConfigError, ImpError
 from impslam.estimators.graph import Graph
 from impslam.map import Map, check_map
@@ -92,7 +93,8 @@ def merged(first: Map, *others: Map, progress: Progress = lambda what, share: No
 def check_logs(maps: Sequence[Map], names: Sequence[str]) -> None:
     """Check that no log is in two of the maps: its scans would count twice.
 
-    Logs are identified by their hash, which the maps of robots and of `Slam` do not have.
+    Logs are identified by their hash; the maps of robots and of `Slam`, which have none, by the stamps and
+    the odometry of their scans.
 
     Raises
     ------
@@ -109,6 +111,12 @@ def check_logs(maps: Sequence[Map], names: Sequence[str]) -> None:
                     "count twice; merge maps of different logs"
                 )
         owners |= dict.fromkeys(logs, name)
+    for (known, name), (other, other_name) in combinations(zip(maps, names, strict=True), 2):
+        if count := same_scans(known, other):
+            raise ConfigError(
+                f"{name} and {other_name} both contain the same {count} scans, which would count twice; "
+                "merge maps of different drives"
+            )
 
 
 def _about(first: Map, second: Map) -> dict[str, Any]:

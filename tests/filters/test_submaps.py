@@ -129,3 +129,22 @@ def test_a_variable_is_in_all_cliques_between_two_that_have_it():
         having = {node for node, clique in cliques.items() if code in clique.codes}
         edges = sum(parent(node) in having for node in having)
         assert edges == len(having) - 1
+
+
+@pytest.mark.parametrize("seen", [(), (Observation("cylinder", np.array([0.5, 0.2]), R),)])
+@pytest.mark.parametrize(
+    ("dense", "areas"),
+    [(Ekf(), SubmapEkf(area=1.0)), (FirstEstimatesEkf(), SubmapFirstEstimatesEkf(area=1.0))],
+    ids=["ekf", "fej"],
+)
+def test_a_border_may_be_crossed_more_often_than_there_are_landmarks(dense, areas, seen):
+    """Each crossing keeps a copy of the pose, also where nothing is seen."""
+    for belief in (dense, areas):
+        belief.start(np.zeros(3), 1e-6 * np.eye(3), MODELS)
+        belief.extend(seen, 0.0)
+        for k in range(120):
+            belief.predict(Increment(float(k), np.array([1.0, 0.0, np.pi]), Q, 0.1))
+    assert areas._cuts > 100
+    np.testing.assert_allclose(areas.covariance, dense.covariance, rtol=1e-9)
+    for one, other in zip(areas.landmarks(), dense.landmarks(), strict=True):
+        np.testing.assert_allclose(one.covariance, other.covariance, rtol=1e-9)

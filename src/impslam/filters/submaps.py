@@ -212,7 +212,8 @@ class SubmapEkf(Ekf):
         tree, archive = self._tree, self._archive
         self._cuts += 1
         cut = codes_of(np.array([-self._cuts]), POSE)[0]
-        gone = (self._codes < 0) | (archive.kinds[self._codes >> 2] < 0)
+        gone = self._codes < 0  # copies of the pose
+        gone[~gone] = archive.kinds[self._codes[~gone] >> 2] < 0
         keep = ~gone | np.isin(self._codes, self._shared())
         codes = np.concatenate([cut, self._codes])
         here = Clique(codes, np.concatenate([np.zeros(POSE), self._shift]), self._belief.covariance)

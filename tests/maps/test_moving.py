@@ -11,6 +11,7 @@ from tests.recognition.plans import OFFICE, way
 from impslam.errors import ImpError
 from impslam.geometry.angles import wrap
 from impslam.geometry.se2 import between, compose, transform
+from impslam.landmarks.gps import GpsFrame
 from impslam.maps.files import OCCUPIED, map_image
 from impslam.maps.moving import moved_landmark
 from impslam.types import Landmark
@@ -95,6 +96,19 @@ def test_a_point_turns_with_its_ellipse():
     np.testing.assert_allclose(moved.position, [-1.0, 1.0], atol=1e-12)
     np.testing.assert_allclose(moved.covariance, np.diag([1.0, 4.0]), atol=1e-12)
     assert moved.parameters == {"radius": 0.1}
+
+
+@pytest.mark.parametrize("T", MOVES)
+def test_a_gps_frame_predicts_the_same_fix_after_as_before(T):
+    def fix(pose, mark):
+        frame = np.array([[*mark.position, mark.parameters["yaw"]]])
+        return GpsFrame().observe(pose, frame)
+
+    pose, T = np.array([5.0, 4.0, 0.1]), np.array(T)
+    mark = Landmark(0, "gps", np.array([2.0, 1.0]), {"yaw": 0.3}, np.eye(2), None, 5, 0.0, 1.0)
+    moved = moved_landmark(T, mark)
+    np.testing.assert_allclose(fix(compose(T, pose), moved), fix(pose, mark), atol=1e-12)
+    assert -np.pi < moved.parameters["yaw"] <= np.pi
 
 
 @pytest.mark.parametrize("T", [*MOVES, (-6.0, -6.0, 1.0)])

@@ -26,7 +26,8 @@ def moved_covariances(T: Array, covariances: Array) -> Array:
 def moved_landmark(T: Array, landmark: Landmark) -> Landmark:
     """Return a landmark after the map has moved by T (3,).
 
-    The covariance of a line is that of r and alpha, that of a point of x and y.
+    The covariance of a line is that of r and alpha, that of a point of x and y. A landmark that is a frame
+    has the parameter yaw, rad.
     """
     ends = None if landmark.end_points is None else transform(T, landmark.end_points)
     values, J = dict(landmark.parameters), _jacobian(T, landmark)
@@ -35,6 +36,7 @@ def moved_landmark(T: Array, landmark: Landmark) -> Landmark:
         values["r"], values["alpha"], _ = _moved_line(T, values["r"], values["alpha"])
         position = values["r"] * np.array([math.cos(values["alpha"]), math.sin(values["alpha"])])
     values |= dict(zip(("x", "y"), position.tolist(), strict=True)) if "x" in values else {}
+    values |= {"yaw": wrap(values["yaw"] + float(T[2]))} if "yaw" in values else {}
     covariance = J @ landmark.covariance @ J.T
     return replace(
         landmark, position=position, parameters=values, covariance=covariance, end_points=ends

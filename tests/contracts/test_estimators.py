@@ -91,6 +91,17 @@ def test_the_joint_covariance_is_that_of_the_landmarks_in_their_order(make):
         made.refine()
 
 
+def test_landmarks_have_mean_attributes_without_a_heading_in_base_link(make):
+    made = make()
+    for k, (pose, motion) in enumerate(drive(8)):
+        attributes = {"radius": 0.1 + 0.01 * (k % 2), "heading": 3.0}
+        seen = [replace(o, attributes=attributes) for o in observe(pose)]
+        made.add(keyframe(k, motion, seen))
+    for mark in made.landmarks():
+        assert "heading" not in mark.parameters
+        assert mark.parameters["radius"] == pytest.approx(0.105)
+
+
 def test_it_starts_at_the_given_pose(make):
     start = np.array([3.0, -2.0, 2.5])
     poses, revisions = run(make(start), 10, told=NONE)

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from impslam.estimators.particle_kernels import unshare
-from impslam.landmarks.base import LandmarkModel
+from impslam.landmarks.base import LandmarkModel, average
 from impslam.types import Array, Ints, Landmark, Mask
 
 _POOL = 256  # rows; the pool grows by doubling
@@ -86,10 +86,7 @@ class LandmarkTable:
         """Count an observation, and average its attributes."""
         self.counts[slot] += 1
         self.stamps[slot, 1] = stamp
-        average = self.attributes[int(self.ids[slot])]
-        for name, value in attributes.items():
-            old = average.get(name, value)
-            average[name] = old + (value - old) / float(self.counts[slot])
+        average(self.attributes[int(self.ids[slot])], attributes, 1.0 / float(self.counts[slot]))
 
     def landmark(self, slot: int, weights: Array) -> Landmark:
         """Return a landmark as `types.Landmark`: mean and covariance over its particles.

@@ -48,7 +48,7 @@ from impslam.geometry.angles import wrap
 from impslam.geometry.chi_square import GATE_2D
 from impslam.geometry.roots import root
 from impslam.geometry.se2 import compose
-from impslam.landmarks.base import LandmarkModel
+from impslam.landmarks.base import LandmarkModel, average
 from impslam.lifecycle.base import Lifecycle
 from impslam.map import Keyframe, Revision
 from impslam.types import Array, Increment, Ints, Landmark, Match, Observation
@@ -231,7 +231,7 @@ class Particles(Estimator):
         P = [i.m_D_z @ observation.R @ i.m_D_z.T + i.slack for i in new]
         label = -1 if observation.label is None else observation.label
         table.add(number, label, stamp, holders, np.array([i.m for i in new]), np.array(P))
-        table.attributes[number] = dict(observation.attributes)
+        average(table.attributes[number], observation.attributes, 1.0)
         self._widen(table, len(table.ids) - 1, observation)
         return number
 

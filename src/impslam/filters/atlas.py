@@ -10,7 +10,7 @@ import numpy as np
 from impslam.errors import ConfigError
 from impslam.filters.belief import HasBlocks
 from impslam.filters.columns import NONE, ObservationColumns, ScanColumns, end_points
-from impslam.landmarks.base import LandmarkModel
+from impslam.landmarks.base import LandmarkModel, average
 from impslam.types import Array, Ints, Landmark, Match, Observation
 
 
@@ -63,10 +63,7 @@ class Table:
 
     def average(self, place: int, attributes: Mapping[str, float]) -> None:
         """Average attributes of an observation into those of a landmark, which counts it already."""
-        average = self.attributes[int(self.ids[place])]
-        for name, value in attributes.items():
-            old = average.get(name, value)
-            average[name] = old + (value - old) / float(self.counts[place])
+        average(self.attributes[int(self.ids[place])], attributes, 1.0 / float(self.counts[place]))
 
     def remove(self, places: list[int]) -> None:
         """Remove the landmarks in these rows."""
@@ -171,7 +168,8 @@ class Atlas:
         extent = table.model.extents(pose, m[None], end_points([observation]))[0]
         label = -1 if observation.label is None else observation.label
         table.append((number, label, offset), extent, stamp)
-        table.attributes[number] = dict(observation.attributes)
+        table.attributes[number] = {}
+        average(table.attributes[number], observation.attributes, 1.0)
         return number
 
     def clear(self) -> None:
@@ -244,10 +242,7 @@ class Atlas:
         table.stamps[k] = min(first, since), max(last, until)
         if table.labels[k] < 0:
             table.labels[k] = table.labels[g]
-        average, other = table.attributes[kept], table.attributes[gone]
-        for name, value in other.items():
-            old = average.get(name, value)
-            average[name] = old + share * (value - old)
+        average(table.attributes[kept], table.attributes[gone], share)
 
     def outlines(self, mean: Array) -> tuple[Ints, Array]:
         """Return the ids (k,) of visible landmarks and their ends (k, 2, 2) in map.

@@ -12,6 +12,7 @@ perturbation. Observations are z (..., k, dim_z) in base_link. Leading axes broa
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple, Self
 
@@ -24,6 +25,9 @@ from impslam.types import Array, Observation
 COURSE, COURSE_SIGMA = "course", "course sigma"
 """Attributes of a GPS fix: direction of travel in its frame and its standard deviation, rad."""
 
+_OF_THE_ROBOT = frozenset({"heading", COURSE, COURSE_SIGMA})
+"""Attributes of an observation that its landmark does not have: they change as the robot turns."""
+
 STEP = 1e-5  # m, rad: of central differences; their error is then some 1e-10 of the values
 
 
@@ -33,6 +37,17 @@ class Prediction(NamedTuple):
     z: Array
     z_D_pose: Array
     z_D_m: Array
+
+
+def average(means: dict[str, float], attributes: Mapping[str, float], share: float) -> None:
+    """Move the mean attributes of a landmark a share of the way to others, and add those it lacks.
+
+    Attributes that depend on the robot's heading, such as a corner's "heading" in base_link, are left out.
+    """
+    for name, value in attributes.items():
+        if name not in _OF_THE_ROBOT:
+            old = means.get(name, value)
+            means[name] = old + share * (value - old)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

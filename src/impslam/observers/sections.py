@@ -23,7 +23,7 @@ from impslam.observers.summary import (
 from impslam.provenance import versions
 from impslam.types import Landmark
 
-ANGLES = {"alpha": "α", "angle": "angle", "heading": "heading"}
+ANGLES = {"alpha": "α", "angle": "angle"}
 """Parameters that are angles, and their labels."""
 NO_LANDMARKS = "<p>No landmark was found. The path is dead reckoning.</p>"
 

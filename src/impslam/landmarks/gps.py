@@ -72,6 +72,12 @@ class GpsFrame(LandmarkModel):
         m = np.array([*(antenna - R @ observation.z), yaw])
         return Initial(m, m_D_pose, m_D_z, np.outer(unobserved, unobserved))
 
+    def retract(self, m: Array, delta: Array) -> Array:
+        """Return frames moved by perturbations, the yaw wrapped."""
+        moved = m + delta
+        moved[..., 2] = wrap(moved[..., 2])
+        return moved
+
     def difference(self, m: Array, other: Array) -> Array:
         """Return the perturbations that take m to others, the yaw wrapped."""
         difference = other - m

@@ -28,3 +28,16 @@ def test_the_frame_of_a_gps_is_no_object_that_beams_could_hit():
     seen = [Observation(kind, np.array([2.0, 1.0]), np.eye(2)) for kind in ("gps", "cylinder")]
     _, pillar = belief.extend(seen, 0.0)
     assert belief.outlines()[0].tolist() == [pillar]
+
+
+def test_beliefs_on_either_side_of_plus_and_minus_pi_resemble_each_other():
+    """A wall behind the robot, whose normal is there in map."""
+    beliefs = []
+    for alpha in (np.pi - 1e-6, -np.pi + 1e-6):
+        belief = Ekf()
+        belief.start(np.zeros(3), 1e-4 * np.eye(3), MODELS)
+        ends = np.array([[-2.0, -1.0], [-2.0, 1.0]])
+        seen = Observation("wall", np.array([2.0, alpha]), 1e-3 * np.eye(2), end_points=ends)
+        belief.extend((seen,), 0.0)
+        beliefs.append(belief)
+    assert beliefs[0].resembles(beliefs[1], 0.2)

@@ -66,6 +66,9 @@ class Ekf(GaussianFilter):
         sigma = np.sqrt(self._belief.P.diagonal()[:n])
         difference = self._belief.mean[:n] - other._belief.mean[:n]
         difference[2] = wrap(float(difference[2]))
+        for table in self._atlas.tables():
+            states, others = table.states(self._belief.mean), table.states(other._belief.mean)
+            difference[table.columns] = table.model.difference(states, others)
         return bool((np.abs(difference) <= share * sigma).all())
 
     def predict(self, increment: Increment) -> None:

@@ -155,6 +155,7 @@ BAD = {
     "R is infinite": lambda o: replace(o, R=np.full_like(o.R, np.inf)),
     "R is no covariance": lambda o: replace(o, R=-np.eye(len(o.z))),
     "R is singular": lambda o: replace(o, R=np.zeros_like(o.R)),
+    "R lacks the shared error": lambda o: replace(o, shared=np.ones_like(o.z), sensor="lidar"),
     "R is indefinite": lambda o: replace(o, R=np.ones_like(o.R) - 0.5 * np.eye(len(o.z))),
 }
 

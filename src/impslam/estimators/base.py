@@ -177,7 +177,10 @@ def is_finite(motion: Increment) -> bool:
 
 
 def check_keyframe(keyframe: Keyframe) -> None:
-    """Raise `NumericalError` if a motion or an observation is not finite, or an R is not a covariance."""
+    """Raise `NumericalError` if a motion or an observation is not finite, or an R is not a covariance.
+
+    An R without the observation's shared error is a covariance, too.
+    """
     numbers = [part.ravel() for o in keyframe.observations for part in (o.z, o.R)]
     if not is_finite(keyframe.motion):
         raise NumericalError("the motion or its covariance is not finite")
@@ -188,6 +191,8 @@ def check_keyframe(keyframe: Keyframe) -> None:
             raise NumericalError(
                 f"the covariance R of a {o.kind} is not positive definite: check its sensor's noise"
             )
+        if o.shared is not None and not is_definite(o.R - np.outer(o.shared, o.shared)):
+            raise NumericalError(f"the R of a {o.kind} does not include its shared error")
 
 
 def with_motion(keyframe: Keyframe, motion: Increment) -> tuple[Keyframe, str]:

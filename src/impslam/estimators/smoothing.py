@@ -18,7 +18,7 @@ from pydantic import PrivateAttr
 
 from impslam.component import parameter, register
 from impslam.errors import ConfigError, NumericalError
-from impslam.estimators.base import MIN_SIGMA, Draft, is_definite, is_finite
+from impslam.estimators.base import MIN_SIGMA, Draft, is_finite
 from impslam.estimators.landmarks import Landmarks
 from impslam.estimators.observation_delay import blurred
 from impslam.estimators.smoother import Smoother, SmootherEstimate
@@ -72,12 +72,6 @@ class Smoothing(Landmarks):
             self._add_factors(observations, revision)
         moved = self._smoother.solve()
         return self._with_scale(self._synchronise(keyframe, revision, has_moved=moved > 0))
-
-    def _add(self, keyframe: Keyframe) -> Revision:
-        for o in keyframe.observations:
-            if o.shared is not None and not is_definite(o.R - np.outer(o.shared, o.shared)):
-                raise NumericalError(f"the R of a {o.kind} does not include its shared error")
-        return super()._add(keyframe)
 
     def _add_factors(self, observations: tuple[Observation, ...], revision: Revision) -> None:
         """Add the factors of the observations according to their matches."""

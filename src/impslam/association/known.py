@@ -17,7 +17,7 @@ from impslam.types import Observation
 
 @register("known")
 class Known(Association):
-    """Each label is one landmark; observations without a label are matched to nothing."""
+    """Each label is one landmark; observations without a label are neither matched nor new."""
 
     gate: float = parameter(
         1.0,
@@ -32,9 +32,10 @@ class Known(Association):
     ) -> Assignment:
         """Match each labelled observation with the landmark of the same label."""
         del joint
-        return make_assignment(
-            observations, ((group, *self._choose(observations, group)) for group in hypotheses)
-        )
+        chosen = ((group, *self._choose(observations, group)) for group in hypotheses)
+        assignment = make_assignment(observations, chosen)
+        new = tuple([i for i in assignment.new if observations[i].label is not None])
+        return assignment._replace(new=new)
 
     def _choose(
         self, observations: tuple[Observation, ...], group: Hypotheses
@@ -52,5 +53,5 @@ class Known(Association):
                 rival = best.get(k, p)
                 best[k] = min(p, rival, key=lambda q: (group.distance2[q], q))
         limit = quantile(self.gate, group.innovation.shape[-1])
-        near = np.flatnonzero(labelled | (labels < 0)).tolist()
+        near = np.flatnonzero(labelled).tolist()
         return [p for p in best.values() if group.distance2[p] <= limit], near

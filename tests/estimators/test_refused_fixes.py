@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 from tests.sensors.test_gps import SETTINGS, T_MAP_EAST, drive, errors
+from tests.steps import Steps
 
 from impslam.config import load
 from impslam.estimators.refused_fixes import MIN_FIXES, MIN_SPAN, RefusedFixes
@@ -98,3 +99,19 @@ def test_a_wrong_first_fix_does_not_exclude_all_others(rng):
     off = errors(known.rows(), truth, np.array([*found.position, found.parameters["yaw"]]))
     assert np.median(off[known.rows().stamps > 120.0]) < 2.0
     assert run.estimator.counts()
+
+
+def test_a_revision_names_the_frame_that_is_removed(rng):
+    """The frame of one wrong fix, the first that has a course."""
+    messages = [
+        Fix(m.stamp, m.position + 400.0, m.covariance)
+        if isinstance(m, Fix) and 3.0 < m.stamp < 4.0
+        else m
+        for m in drive(rng)[0]
+        if m.stamp < 20.0
+    ]
+    steps = Steps()
+    (found,) = Run(load("default", SETTINGS), [steps]).play(messages).landmarks
+    first, second = (number for step in steps.results for number in step.added)
+    assert [step.removed for step in steps.results if step.removed] == [(first,)]
+    assert found.id == second

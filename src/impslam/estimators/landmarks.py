@@ -114,11 +114,11 @@ class Landmarks(Estimator):
         chosen = [others[i] for i in self._lifecycle.promote(unmatched, now, is_empty)]
         chosen += self._first_of_kind(observations, unique)
         added = self._filter.extend([observations[i] for i in chosen], stamp)
-        self._check_refused_fixes(observations, choice.matches, chosen, now)
+        removed = self._check_refused_fixes(observations, choice.matches, chosen, now)
 
         fused = self._duplicates.fuse(choice, self._filter, self._association)
         matches = tuple([with_kept_landmark(m, fused) for m in choice.matches])
-        removed = list(fused)
+        removed += list(fused)
         ids, outlines = self._filter.outlines()
         if keyframe.scan is not None and len(ids):
             missed = self._lifecycle.review(
@@ -197,9 +197,9 @@ class Landmarks(Estimator):
         matches: Sequence[Match],
         added: list[int],
         now: float,
-    ) -> None:
-        """Widen the pose, or remove the GPS frame, if refused fixes agree with each other."""
-        used = {match.observation for match in matches}
+    ) -> list[int]:
+        """Widen the pose, or remove the GPS frame, if refused fixes agree; return the removed ids."""
+        used, removed = {match.observation for match in matches}, list[int]()
         for i, fix in enumerate(observations):
             if not self._models[fix.kind].unique or fix.kind not in self._seen_kinds:
                 continue
@@ -214,11 +214,13 @@ class Landmarks(Estimator):
                 continue
             if error.frame_is_wrong:
                 self._filter.remove([frame.id])
+                removed.append(frame.id)
                 self._seen_kinds.discard(fix.kind)
                 self._counts["GPS frames re-initialised"] += 1
             else:
                 self._filter.predict(Increment(now, np.zeros(3), error.covariance))
                 self._counts["pose covariances widened by refused GPS fixes"] += 1
+        return removed
 
     def observations(self) -> tuple[tuple[Observation, ...], ...]:
         """Return the observations of each keyframe; see `Estimator.observations`."""

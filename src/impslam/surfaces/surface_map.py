@@ -354,7 +354,7 @@ def align(
     """Move pose (3,) in place to the best fit of the features to the map; return the inlier share.
 
     `prior` (3,) is the information of the initial pose, 1/m^2, 1/m^2 and 1/rad^2; see `Alignment.slack2`.
-    `out` becomes the evidence of the scan alone at the resulting pose.
+    `out` becomes the evidence of the scan alone at the pose before the last step.
     """
     start, g, A = pose.copy(), np.empty(3), np.empty((3, 3))
     for i in range(settings.iterations):

@@ -40,8 +40,3 @@ def test_a_gate_rejects_a_misread_label_that_is_not_new():
     choice = belief.associate(seen, Known(gate=0.999999))
     assert pairs(choice) == {0: 0}
     assert choice.new == (2,)
-
-
-def test_no_label_is_not_new_in_an_empty_map_either():
-    choice = mapped([]).associate((point(ORIGIN, (1, 0)), point(ORIGIN, (2, 0), 7)), Known())
-    assert choice.new == (1,)

@@ -17,7 +17,10 @@ from impslam.types import Observation
 
 @register("known")
 class Known(Association):
-    """Each label is one landmark; observations without a label are neither matched nor new."""
+    """Each label is one landmark; observations without a label are matched to nothing.
+
+    They become landmarks only while the map has none of their kind.
+    """
 
     gate: float = parameter(
         1.0,
@@ -32,10 +35,9 @@ class Known(Association):
     ) -> Assignment:
         """Match each labelled observation with the landmark of the same label."""
         del joint
-        chosen = ((group, *self._choose(observations, group)) for group in hypotheses)
-        assignment = make_assignment(observations, chosen)
-        new = tuple([i for i in assignment.new if observations[i].label is not None])
-        return assignment._replace(new=new)
+        return make_assignment(
+            observations, ((group, *self._choose(observations, group)) for group in hypotheses)
+        )
 
     def _choose(
         self, observations: tuple[Observation, ...], group: Hypotheses
@@ -53,5 +55,5 @@ class Known(Association):
                 rival = best.get(k, p)
                 best[k] = min(p, rival, key=lambda q: (group.distance2[q], q))
         limit = quantile(self.gate, group.innovation.shape[-1])
-        near = np.flatnonzero(labelled).tolist()
+        near = np.flatnonzero(labelled | (labels < 0)).tolist()
         return [p for p in best.values() if group.distance2[p] <= limit], near

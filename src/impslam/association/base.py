@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
-from typing import ClassVar, NamedTuple, TypeAlias
+from typing import Any, ClassVar, NamedTuple, TypeAlias
 
 import numpy as np
 
 from impslam.component import Component
+from impslam.errors import ConfigError
 from impslam.types import Array, Ints, Mask, Match, Observation
 
 Joint: TypeAlias = Callable[[Sequence[Observation], Sequence[Match]], tuple[Array, Array]]
@@ -114,6 +115,49 @@ class Association(Component):
 
         `joint` is used by associations that test pairs jointly.
         """
+
+    def choose(
+        self, observations: tuple[Observation, ...], hypotheses: list[Hypotheses], joint: Joint
+    ) -> Assignment:
+        """Return what `assign` returns, checked, because it may be that of a plug-in.
+
+        Raises
+        ------
+        ConfigError
+            If these are no pairs of the hypotheses and indices of the observations.
+        """
+        choice = self.assign(observations, hypotheses, joint)
+        if wrong := _defect(choice, len(observations), hypotheses):
+            raise ConfigError(
+                f"association {self.name!r} returned {wrong}; correct it, the contract is Association in "
+                "impslam.association.base"
+            )
+        return choice
+
+
+def _defect(choice: Any, count: int, hypotheses: list[Hypotheses]) -> str:
+    """Return what is wrong with an assignment of `count` observations, or ""."""
+    if not isinstance(choice, Assignment):
+        return f"{type(choice).__name__} in place of an Assignment"
+    matches: tuple[Any, ...] = choice.matches
+    for match in matches:
+        if not isinstance(match, Match):
+            return f"{type(match).__name__} in place of a Match"
+        if not any(_contains(one, match) for one in hypotheses):
+            return (
+                f"a match of observation {match.observation} with landmark {match.landmark}, which is not "
+                "among the hypotheses"
+            )
+    for i in (*choice.new, *choice.ambiguous):
+        if not (isinstance(i, int | np.integer) and 0 <= i < count):
+            return f"the index {i} of {count} observations"
+    return ""
+
+
+def _contains(one: Hypotheses, match: Match) -> bool:
+    """Return whether a match is among the pairings."""
+    pairs = (one.observations == match.observation) & (one.landmarks == match.landmark)
+    return bool(pairs.any())
 
 
 def log_normal(distance2: float, S: Array) -> float:

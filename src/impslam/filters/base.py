@@ -124,7 +124,7 @@ class Filter(Component):
     ) -> Assignment:
         """Match observations with landmarks; a filter with several hypotheses does so for each."""
         hypotheses = self.hypothesise(observations, association.max_distance2)
-        return association.assign(observations, hypotheses, self.joint)
+        return association.choose(observations, hypotheses, self.joint)
 
     @abstractmethod
     def correct(

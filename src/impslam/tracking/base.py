@@ -8,13 +8,14 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from collections.abc import Iterator, Sequence
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from pydantic import PrivateAttr
 
 from impslam.columns import Motions, Sweeps
 from impslam.component import Component, parameter
+from impslam.errors import ConfigError
 from impslam.geometry.algebra import rotate_covariance
 from impslam.geometry.chain import advance, advance_pose
 from impslam.geometry.kernels import kernel
@@ -121,6 +122,39 @@ class Steps(NamedTuple):
     reach: Array
 
 
+_COLUMNS: dict[str, tuple[str, tuple[int, ...]]] = {
+    "d_pose": ("f", (3,)), "covariance": ("f", (3, 3)), "error": ("f", (3, 3)), "moved": ("f", (3,)),
+    "reference": ("b", ()), "is_keyframe": ("b", ()), "located": ("b", ()),
+    "reasons": ("iu", ()), "amounts": ("f", ()), "reach": ("f", (2,)),
+}  # fmt: skip
+"""Kinds of `dtype`, and shape of a row, of each column of `Steps`."""
+
+
+def _checked(returned: Any, m: int, name: str) -> Steps:
+    """Return what a tracker returned for m sweeps, checked, because it may be a plug-in.
+
+    Raises
+    ------
+    ConfigError
+        If these are no columns of m rows: kernels would read beyond their ends.
+    """
+    wrong = "" if isinstance(returned, Steps) else f"{type(returned).__name__} in place of Steps"
+    for column, (kinds, row) in _COLUMNS.items():
+        array = getattr(returned, column, None)
+        if wrong:
+            break
+        if not isinstance(array, np.ndarray) or array.dtype.kind not in kinds:
+            wrong = f"{column} that are no array of the right type"
+        elif array.shape != (m, *row):
+            wrong = f"{column} of shape {array.shape} instead of {(m, *row)}"
+    if wrong:
+        raise ConfigError(
+            f"tracker {name!r} returned {wrong}; correct it, the contract is Steps in impslam.tracking.base"
+        )
+    steps: Steps = returned
+    return steps
+
+
 class _Since(NamedTuple):
     """The motion from the newest keyframe to the newest reference.
 
@@ -222,7 +256,8 @@ class Tracker(Component):
         travelled = self._travelled.setdefault(sweeps.sensor, np.full(3, math.inf))
         sweeps, wrong, amounts, unmeasured = self._screening.screen(motions, sweeps, self._problems)
         sweeps = writable(sweeps) if self.matches_scans else sweeps
-        steps = self.steps(motions, sweeps, Gate(self._limits, travelled))
+        returned = self.steps(motions, sweeps, Gate(self._limits, travelled))
+        steps = _checked(returned, len(sweeps), self.name)
         steps.reasons[_contradicted(steps.reasons) & unmeasured] = UNMEASURED
         steps.reasons[_contradicted(steps.reasons) & unknown(motions.covariance)] = JUMPED
         worse = wrong > steps.reasons

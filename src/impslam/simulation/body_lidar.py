@@ -9,6 +9,10 @@ from impslam.simulation.lidar import LidarSimulator
 from impslam.simulation.robot import Lidar
 from impslam.types import Array
 
+SPEED_TOLERANCE = 1e-3
+"""Relative excess of a motor's speed over the one of `Lidar`: ten times that of a bad crystal. The beam
+time of `Lidar` is also rounded, to 4e-5."""
+
 
 class LidarSweeps:
     """The sweeps of the lidar on a body."""
@@ -28,7 +32,8 @@ class LidarSweeps:
         ValueError
             If the sweep has not ended yet, or began before the body's stored past.
         """
-        now = self._body.time
-        if not now - MEMORY + STEP <= time <= now - self._simulator.duration + STEP:
+        now, duration = self._body.time, self._simulator.duration * (1.0 - SPEED_TOLERANCE)
+        # The body's time is rounded down to STEP.
+        if not now - MEMORY + STEP <= time <= now - duration + STEP:
             raise ValueError(f"a sweep that began at {time:.3f} s cannot be read at {now:.3f} s")
         return self._simulator.ranges(time)

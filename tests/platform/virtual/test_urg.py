@@ -9,7 +9,10 @@ from impslam.platform.devices import scip
 from impslam.platform.devices.scip_encoding import decode, encode, with_checksum
 from impslam.platform.virtual import urg, urg_memory
 from impslam.platform.virtual.urg import UrgEmulator
-from impslam.platform.virtual.urg_sensor import clustered
+from impslam.platform.virtual.urg_sensor import UrgSensor, clustered
+from impslam.simulation.body import Body
+from impslam.simulation.body_lidar import LidarSweeps
+from impslam.simulation.world import World
 
 STREAM = b"MD0044072501000\n"
 TURN = 0.1
@@ -238,6 +241,20 @@ def test_a_fast_clock_is_a_fast_motor():
     answers = talk.arrivals(5.0)
     assert [stamp(text) for _, text in answers] == [100 * k for k in range(len(answers))]
     assert len(answers) == 51  # 51 turns and a part of less than what a sweep takes; else 50
+
+
+@pytest.mark.parametrize("drift", [0.0, 1e-4])
+def test_the_body_gives_a_sweep_at_any_moment_after_its_end(drift):
+    """Also just before a whole ms: the time of the body, which is rounded down, is then a ms behind."""
+    robot = {"start": (0, 0, 0), "waypoints": [(1, 0)]}
+    body, behind = Body(World.model_validate({"robot": robot})), 0.0
+    sensor = UrgSensor(LidarSweeps(body), drift, 0, TURN)
+    for microseconds in range(0, 1000, 2):
+        sensor.reset(body.time + 1e-6 * microseconds)
+        body.advance(sensor.end(0))
+        behind = max(behind, sensor.end(0) - body.time)
+        assert (sensor.values(0)[44:726] == 0).all()  # nothing is there
+    assert behind > 0.998e-3
 
 
 def test_time_adjustment():

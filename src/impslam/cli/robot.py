@@ -21,9 +21,9 @@ from impslam.platform.station.service import unit
 from impslam.platform.station.watchdog import Watchdog
 
 if TYPE_CHECKING:
-    from impslam.platform.console.model import Fault
     from impslam.platform.console.session import Right
     from impslam.platform.station.station import Station
+    from impslam.platform.virtual.process import VirtualRobot
 
 app = App(name="robot")
 
@@ -114,12 +114,12 @@ def robot(
     allowed(settings)
     with (
         listening(settings) as listener,  # before anything moves, in case the port is taken
-        running_station(config, virtual or VirtualOptions(), folder) as (station, title, fault),
+        running_station(config, virtual or VirtualOptions(), folder) as (station, title, imp),
     ):
         station.begin(record=record, map_=map_)
         heartbeat = Heartbeat()
         with Watchdog(lambda: heartbeat.alive() and station.drive_control.alive):
-            model = Model(title, station.view, station=station, fault=fault)
+            model = Model(title, station.view, station=station, virtual=imp)
             serve(model, settings, ready=echo, beat=heartbeat.beat, listener=listener)
     echo(f"stopped; logs are in {station.folder}")
 
@@ -202,8 +202,8 @@ def discard(line: str) -> None:
 @contextmanager
 def running_station(
     config: Path | None, options: VirtualOptions, folder: Path | None
-) -> Iterator[tuple[Station, str, Fault | None]]:
-    """Yield a running station, the robot's name, and a virtual robot's faults; stop all on exit."""
+) -> Iterator[tuple[Station, str, VirtualRobot | None]]:
+    """Yield a running station, the robot's name, and the virtual robot; stop all on exit."""
     from impslam.platform.station.station import Station  # numba takes a second to load
 
     if config is None and not options.virtual:
@@ -214,13 +214,13 @@ def running_station(
     from impslam.platform.station.robot_file import RobotFile, load_robot
 
     chosen = RobotFile() if config is None else load_robot(config, virtual=options.virtual)
-    fault: Fault | None = None
+    imp: VirtualRobot | None = None
     with ExitStack() as stack:
         if options.virtual:
-            from impslam.platform.virtual.process import VirtualRobot  # needs the extra
+            from impslam.platform.virtual import process  # needs the extra
             from impslam.platform.virtual.truth import TruthFollower
 
-            virtual = VirtualRobot(
+            virtual = process.VirtualRobot(
                 options.world,
                 options.seed,
                 gps=options.gps,
@@ -228,7 +228,6 @@ def running_station(
             )
             imp = stack.enter_context(virtual)
             chosen = chosen.model_copy(update={"devices": imp.devices()})
-            fault = imp.fault
         station = Station(
             chosen.make_devices(),
             chosen.preset,
@@ -238,11 +237,11 @@ def running_station(
         )
         stack.callback(station.stop)
         station.start()
-        if options.virtual:
+        if imp is not None:
             follower = TruthFollower(imp.truth, station.receive)
             stack.callback(follower.stop)
             follower.start()
-        yield station, chosen.name, fault
+        yield station, chosen.name, imp
 
 
 def _new_password(right: str) -> str:

@@ -14,6 +14,7 @@ import threading
 import time
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, cast
 from urllib.parse import parse_qs
 
@@ -518,8 +519,8 @@ def serve(port: int, *, tour: bool, replay: bool) -> None:
         """The session in the cookie is over; its page is served no more, as the guard does."""
 
     view = cast("Any", station.view)
-    fault = station.fault if station.tour else None
-    model = Model("IMP", view, cast("Any", station), fault=fault)
+    virtual = SimpleNamespace(fault=station.fault, failure="") if station.tour else None
+    model = Model("IMP", view, cast("Any", station), virtual=cast("Any", virtual))
     if replay:
         model = Model("20261120-141503-arena.mcap", view, player=cast("Any", player))
     page.build(model)

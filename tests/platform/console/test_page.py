@@ -112,6 +112,8 @@ def test_alarms_are_whatever_the_driver_must_know():
         "Not recording: the disk is full",
     ]
     assert alarms(health(OFF, replace(ended, active=True)), "", ()) == []
+    no_robot = alarms(health(OFF, RecordingStatus(), lidar="lost"), "", (), "the robot has ended")
+    assert no_robot == ["The robot has ended"]
 
 
 def test_latency_is_shown_with_median_and_p99():

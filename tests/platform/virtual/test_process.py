@@ -292,10 +292,12 @@ def test_its_death_is_an_error():
     with VirtualRobot("room", camera=False) as robot:
         os.kill(robot.pid, signal.SIGINT)  # it ignores Ctrl-C
         assert robot.truth()["time"] > 0
+        assert robot.failure == ""
         os.kill(robot.pid, signal.SIGKILL)
         for _ in range(2):
             with pytest.raises(ImpError, match="has ended"):
                 robot.truth()
+        until(lambda: "has ended" in robot.failure)
 
 
 def test_it_ends_cleanly_when_asked_to():

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import partial
+from typing import TYPE_CHECKING
 
 from nicegui import html
 
-from impslam.platform.console.model import Fault
 from impslam.platform.console.viewer import Viewer
 from impslam.platform.console.widgets import button, card, line, tagged
 from impslam.platform.virtual import faults
@@ -20,6 +20,9 @@ from impslam.platform.virtual.faults import (
     Stall,
     Unplug,
 )
+
+if TYPE_CHECKING:
+    from impslam.platform.virtual.process import VirtualRobot
 
 SECONDS = 2.0  # s that a fault lasts: longer than the timeouts of devices
 FRAMES, SCANS = 0.01, 3e-4
@@ -48,7 +51,7 @@ FAULTS: Mapping[str, Mapping[str, faults.Fault]] = {
 """Device -> label of a button -> its fault."""
 
 
-def fault_panel(fault: Fault, viewer: Viewer) -> None:
+def fault_panel(virtual: VirtualRobot, viewer: Viewer) -> None:
     """Add a button for each fault of each device."""
     with card("Virtual robot", "bolt", "faults"), html.details().classes("fold"):
         tagged(html.summary(f"Inject a fault for {SECONDS:.0f} s"), "faults")
@@ -56,5 +59,5 @@ def fault_panel(fault: Fault, viewer: Viewer) -> None:
             html.h3(device.capitalize())
             with line():
                 for label, one in offered.items():
-                    act = partial(viewer.run, partial(fault, **one.model_dump()))
+                    act = partial(viewer.run, partial(virtual.fault, **one.model_dump()))
                     button(label, f"fault-{device}-{one.fault}", act)

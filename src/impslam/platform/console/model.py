@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import TYPE_CHECKING
 
 from impslam.observers.live_view import LiveView
 from impslam.platform.station.player import Player
 from impslam.platform.station.station import Station
 
-Fault: TypeAlias = Callable[..., None]
-"""Triggers a fault of a virtual robot: fault("unplug", device="lidar", seconds=2.0)."""
+if TYPE_CHECKING:
+    from impslam.platform.virtual.process import VirtualRobot  # a replay loads faster without it
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,11 +23,11 @@ class Model:
     view : the present map
     station : the robot computer, None in a replay
     player : the player of a log, None on a robot
-    fault : triggers a fault of a virtual robot, None on a real one
+    virtual : the virtual robot, None on a real one
     """
 
     title: str
     view: LiveView
     station: Station | None = None
     player: Player | None = None
-    fault: Fault | None = None
+    virtual: VirtualRobot | None = None

@@ -53,8 +53,8 @@ class RobotPanels:
                 self._maps = MapsPanel(feed, station, viewer)
             with _tab("health"):
                 self._health = HealthPanel(feed, health)
-                if feed.model.fault is not None and viewer.session.may_drive:
-                    fault_panel(feed.model.fault, viewer)
+                if feed.model.virtual is not None and viewer.session.may_drive:
+                    fault_panel(feed.model.virtual, viewer)
                 self._events = EventPanel()
             with _tab("camera"), card("Camera", "photo_camera", "camera"):
                 CameraView()
@@ -80,14 +80,18 @@ class RobotPanels:
         self._count += 1
         devices = self._station.devices.items()
         drives = {name for name, device in devices if isinstance(device, DriveDevice)}
-        return alarms(health, drive_control.blockage, drives)
+        virtual = self._feed.model.virtual
+        failure = "" if virtual is None else virtual.failure
+        return alarms(health, drive_control.blockage, drives, failure)
 
     def leave(self) -> None:
         """Release control."""
         self._drive.leave()
 
 
-def alarms(health: StationHealth, blockage: str, drives: Collection[str]) -> list[str]:
+def alarms(
+    health: StationHealth, blockage: str, drives: Collection[str], failure: str = ""
+) -> list[str]:
     """Return what the driver must know, whatever panel is open.
 
     A lost drive device comes first, since it cannot be stopped; then other lost devices, why the robot does
@@ -98,12 +102,12 @@ def alarms(health: StationHealth, blockage: str, drives: Collection[str]) -> lis
     health : of the robot
     blockage : why the robot does not move as it is driven, "" if it does
     drives : names of the drive devices
+    failure : why the virtual robot does not run any more, "" if it does; no plug needs to be checked
     """
     lost = [name for name, one in health.devices.items() if one.state == "lost"]
     lost.sort(key=lambda name: name not in drives)
-    found = [f"{name} lost: {health.devices[name].detail}" for name in lost]
-    if blockage:
-        found.append(blockage[:1].upper() + blockage[1:])
+    found = [f"{name} lost: {health.devices[name].detail}" for name in lost if not failure]
+    found += [text[:1].upper() + text[1:] for text in (failure, blockage) if text]
     if health.mapping.state == "failed":
         found.append(f"Mapping has failed: {health.mapping.detail}")
     if health.recording.error and not health.recording.active:

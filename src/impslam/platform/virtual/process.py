@@ -24,6 +24,7 @@ START_TIMEOUT = 600.0
 at once."""
 END_TIMEOUT = 5.0  # s to end by itself
 ANSWER_TIMEOUT = 10.0  # s to answer, on a busy computer
+ENDED = "the virtual robot has ended; standard error shows why"
 Answer = dict[str, Any]
 
 
@@ -67,6 +68,12 @@ class VirtualRobot:
     def pid(self) -> int:
         """Id of the process, 0 if there is none."""
         return 0 if self._process is None else self._process.pid
+
+    @property
+    def failure(self) -> str:
+        """Why it does not run any more, "" if it does, or was closed."""
+        process = self._process
+        return ENDED if process is not None and process.poll() is not None else ""
 
     def start(self) -> None:
         """Start the process and wait until its ports are open.
@@ -135,7 +142,7 @@ class VirtualRobot:
             line = self._receive_answer(timeout)
         if not line:
             self._answers.put("")  # for the next request
-            raise ImpError("the virtual robot has ended; standard error shows why")
+            raise ImpError(ENDED)
         reply: Answer = json.loads(line)
         if "error" in reply:
             raise ImpError(reply["error"])

@@ -150,6 +150,24 @@ def test_the_page_is_offline_quiet_and_fits(browser, robot, context):
 
 
 @pytest.mark.browser
+def test_on_narrow_phones_neither_stop_nor_the_drive_panel_is_cut_while_recording(browser, robot):
+    with visit(browser, robot, **PHONE) as watched:
+        page = watched.page
+        page.get_by_test_id("tab-record").click()
+        page.get_by_test_id("record").click()
+        expect(page.get_by_test_id("chip-recording")).to_be_visible()
+        page.get_by_test_id("tab-drive").click()
+        page.get_by_test_id("take").click()
+        for width in (320, 344, 360, 390):
+            page.set_viewport_size({"width": width, "height": 640})
+            for control in ("stop", "leave", "command"):
+                expect(page.get_by_test_id(control)).to_be_in_viewport(ratio=1)
+            assert page.evaluate(CUT_OFF) == []
+        page.get_by_test_id("tab-record").click()
+        page.get_by_test_id("record-stop").click()
+
+
+@pytest.mark.browser
 def test_a_phone_held_across_shows_each_panel_and_the_layers_beside_the_tools(browser, robot):
     with visit(browser, robot, **ACROSS) as watched:
         page = watched.page

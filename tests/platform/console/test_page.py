@@ -209,6 +209,7 @@ def test_every_control_has_a_name(browser, robot):
 @pytest.mark.browser
 @pytest.mark.parametrize("scheme", ["dark", "light"])
 def test_the_page_follows_the_theme_of_the_system_until_it_is_switched(browser, robot, scheme):
+    """The browser then keeps the theme for the next visit."""
     with visit(browser, robot, color_scheme=scheme) as watched:
         page = watched.page
         dark = "document.body.classList.contains('body--dark')"
@@ -216,6 +217,12 @@ def test_the_page_follows_the_theme_of_the_system_until_it_is_switched(browser, 
         for wanted in (True, False):
             page.get_by_test_id("theme").click()
             until(lambda wanted=wanted: page.evaluate(dark) == wanted)
+            page.reload()
+            expect(page.get_by_test_id("theme")).to_be_visible()
+            assert page.evaluate(dark) == wanted
+        page.get_by_test_id("theme").click()
+        until(lambda: page.evaluate(dark) == (scheme == "dark"))
+        assert not watched.complaints
 
 
 @pytest.mark.browser

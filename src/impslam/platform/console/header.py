@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import itertools
-
 from nicegui import html, ui
 
 from impslam.platform.console.model import Model
 from impslam.platform.console.stop_button import StopButton
+from impslam.platform.console.theme_button import ThemeButton
 from impslam.platform.console.viewer import Viewer
-from impslam.platform.console.widgets import button, duration, show, symbol, tagged, text
+from impslam.platform.console.widgets import duration, show, symbol, tagged, text
 from impslam.platform.station.recorder import RecordingStatus
 from impslam.platform.station.station import Station
 
@@ -24,8 +23,6 @@ class Header:
 
     def __init__(self, model: Model, viewer: Viewer) -> None:
         self.stop: StopButton | None = None
-        self._dark = ui.dark_mode(None)
-        self._modes = itertools.cycle([True, False, None])
         with html.header().classes("top"):
             symbol("smart_toy" if model.station is not None else "replay").classes("mark")
             html.h1(model.title)
@@ -35,7 +32,7 @@ class Header:
             right = " · may drive" if model.station is not None else ""
             right = right if viewer.session.may_drive else " · watching"
             tagged(html.span(viewer.session.name + right), "viewer").classes("soft viewer")
-            button("Dark or light", "theme", self._on_theme, "quiet", "contrast")
+            ThemeButton()
             _logout()
             if model.station is not None:
                 self.stop = StopButton(lambda: self._on_stop(model.station, viewer))
@@ -52,12 +49,6 @@ class Header:
         chip = text(testid, "", f"chip {style}")
         show(chip, False)
         return chip
-
-    def _on_theme(self) -> None:
-        """Switch from the theme of the system to dark, to light, and back."""
-        self._dark.value = next(
-            self._modes
-        )  # its present value comes from the browser: not trusted
 
     @staticmethod
     def _on_stop(station: Station | None, viewer: Viewer) -> None:

@@ -17,6 +17,7 @@ from impslam.platform.console.health_panel import (
     mapper_row,
     page_row,
 )
+from impslam.platform.console.mapping_panel import status_text
 from impslam.platform.console.page import STYLE
 from impslam.platform.console.robot_panels import alarms
 from impslam.platform.console.widgets import duration, size
@@ -114,6 +115,18 @@ def test_alarms_are_whatever_the_driver_must_know():
     assert alarms(health(OFF, replace(ended, active=True)), "", ()) == []
     no_robot = alarms(health(OFF, RecordingStatus(), lidar="lost"), "", (), "the robot has ended")
     assert no_robot == ["The robot has ended"]
+
+
+def test_the_map_panel_tells_what_is_wrong_only_while_mapping():
+    mapping = replace(OFF, state="running", steps=2, detail="10 scans dropped")
+    assert status_text(mapping) == "Mapping: 10 scans dropped"
+    assert status_text(replace(mapping, state="off")) == "Not mapping · 2 scans"
+
+
+def test_the_map_panel_names_the_map_while_the_estimator_is_compiled():
+    compiling = replace(OFF, state="compiling", name="hall", frozen=True, placed=False)
+    assert status_text(compiling).startswith("Localising in hall · Compiling")
+    assert status_text(replace(compiling, name="")).startswith("Compiling")
 
 
 def test_latency_is_shown_with_median_and_p99():

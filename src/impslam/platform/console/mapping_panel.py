@@ -49,10 +49,7 @@ class MappingPanel:
         show(self._restart, self._may and status.on)
         show(self._end, self._may and status.on)
         show(self._save, self._may and status.steps > 0 and not status.frozen)
-        scans = f" · {scans_text(status.steps)}" if status.steps else ""
-        self._status.text = _status_text(status) + (
-            f": {status.detail}" if status.detail else scans
-        )
+        self._status.text = status_text(status)
         saved = self._saved_folder is not None and self._saved_folder == self._station.map_folder
         show(self._saved_line, saved)
 
@@ -91,8 +88,18 @@ def notice(status: MapperStatus) -> str:
     return ""
 
 
-def _status_text(status: MapperStatus) -> str:
-    if status.state != "running" or not status.name:
+def status_text(status: MapperStatus) -> str:
+    """Return the state of the mapper, and what is wrong while it maps, or the number of scans."""
+    if status.detail and status.state != "off":
+        return f"{_state_text(status)}: {status.detail}"
+    scans = f" · {scans_text(status.steps)}" if status.steps else ""
+    return _state_text(status) + scans
+
+
+def _state_text(status: MapperStatus) -> str:
+    if not status.on or not status.name:
         return STATE_TEXTS[status.state]
-    suffix = "" if status.placed else ", not found in it yet"
-    return f"{'Localising in' if status.frozen else 'Going on with'} {status.name}{suffix}"
+    use = f"{'Localising in' if status.frozen else 'Going on with'} {status.name}"
+    if status.state == "compiling":
+        return f"{use} · {STATE_TEXTS['compiling']}"
+    return use if status.placed else f"{use}, not found in it yet"

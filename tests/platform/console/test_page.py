@@ -19,6 +19,7 @@ from impslam.platform.console.health_panel import (
 )
 from impslam.platform.console.mapping_panel import status_text
 from impslam.platform.console.page import STYLE
+from impslam.platform.console.replay_panel import controls
 from impslam.platform.console.robot_panels import alarms
 from impslam.platform.console.widgets import duration, size
 from impslam.platform.devices.base import DeviceHealth
@@ -127,6 +128,13 @@ def test_the_map_panel_names_the_map_while_the_estimator_is_compiled():
     compiling = replace(OFF, state="compiling", name="hall", frozen=True, placed=False)
     assert status_text(compiling).startswith("Localising in hall · Compiling")
     assert status_text(replace(compiling, name="")).startswith("Compiling")
+
+
+def test_a_replay_that_will_begin_by_itself_offers_neither_play_nor_step():
+    assert set(controls("ready")) == set(controls("paused")) == {"play", "step", "speed"}
+    assert set(controls("playing")) == {"pause", "speed"}
+    assert set(controls("compiling")) == {"speed"}
+    assert not controls("ended")
 
 
 def test_latency_is_shown_with_median_and_p99():

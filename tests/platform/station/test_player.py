@@ -111,6 +111,16 @@ def test_play_live_starts_at_once(room, tmp_path, monkeypatch):
 # --------------------------------------------------------------------------- pace
 
 
+def test_a_paused_replay_is_not_shown_as_paused_while_it_seeks():
+    pace = Pace()
+    pace.pause()
+    assert pace.paused
+    pace.set_unpaced(True)
+    assert not pace.paused
+    pace.set_unpaced(False)
+    assert pace.paused
+
+
 @pytest.mark.realtime
 @pytest.mark.parametrize(("speed", "steps"), [(1.0, 12), (8.0, 80)])
 def test_scans_come_at_the_pace_of_their_stamps(room, tmp_path, speed, steps):
@@ -237,6 +247,17 @@ def test_seeking_plays_unpaced_and_pauses_at_the_target(room, tmp_path):
     playing.seek(1.0)
     playing.resume()
     assert len(playing.wait(20.0).path()) > 50
+
+
+def test_seeking_while_compiling_asks_to_wait(room, tmp_path):
+    compiled = threading.Event()
+    source = Played.of(room, tmp_path)
+    playing = Player(load("imp"), source, (), LiveView(), lambda _: compiled.wait(10.0))
+    playing.start()
+    with pytest.raises(ImpError, match="not known yet; wait until it plays"):
+        playing.seek(0.5)
+    playing.stop()
+    compiled.set()
 
 
 def test_a_pause_is_immediate_and_a_step_is_one_scan(room, tmp_path):

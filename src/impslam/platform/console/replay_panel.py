@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from typing import Any
 
 from nicegui import html
@@ -10,7 +11,7 @@ from nicegui import html
 from impslam.platform.console.viewer import Viewer
 from impslam.platform.console.widgets import button, card, duration, line, show, tagged, text
 from impslam.platform.station.mapper_status import scans_text
-from impslam.platform.station.player import Player, PlayerStatus
+from impslam.platform.station.player import Player, PlayerStatus, State
 
 SPEEDS = {
     "0.25": "¼×",
@@ -39,15 +40,16 @@ class ReplayPanel:
         self._may = viewer.session.may_drive
         with card("Replay", "replay", "replay"):
             with line():
-                self._play = button("Play", "play", self._on_play, "primary", "play_arrow")
-                self._pause = button("Pause", "pause", self._on_pause, "primary", "pause")
-                self._step = button("Step", "step", self._on_step, "plain", "skip_next")
-                with tagged(html.select().classes("field"), "replay-speed") as self._speed:
+                play = button("Play", "play", self._on_play, "primary", "play_arrow")
+                pause = button("Pause", "pause", self._on_pause, "primary", "pause")
+                step = button("Step", "step", self._on_step, "plain", "skip_next")
+                with tagged(html.select().classes("field"), "replay-speed") as speed:
                     for value, label in SPEEDS.items():
                         now = float(value) == self._player.status().speed
                         html.option(label, value=value, selected=now)
-                self._speed.props["aria-label"] = "Speed"
-                self._speed.on("change", self._on_speed, js_handler="(e) => emit(e.target.value)")
+                speed.props["aria-label"] = "Speed"
+                speed.on("change", self._on_speed, js_handler="(e) => emit(e.target.value)")
+            self._controls = {"play": play, "pause": pause, "step": step, "speed": speed}
             self._bar = tagged(html.progress(max=1, value=0), "replay-position")
             self._bar.props["aria-label"] = "Position in the log; a click continues from there"
             if self._may:
@@ -59,12 +61,11 @@ class ReplayPanel:
     def update(self) -> None:
         """Show the present status of the player."""
         status = self._player.status()
-        going, over = status.state == "playing", status.state in OVER
-        show(self._play, self._may and not going and not over)
-        show(self._pause, self._may and going)
-        show(self._step, self._may and not going and not over)
-        show(self._speed, self._may and not over)
-        share = round(status.position / status.total, 3) if status.total else float(over)
+        offered = controls(status.state) if self._may else ()
+        for name, control in self._controls.items():
+            show(control, name in offered)
+        over = float(status.state in OVER)
+        share = round(status.position / status.total, 3) if status.total else over
         if share != self._bar.props.get("value"):
             self._bar.props["value"] = share
         self._status.text = _status_text(status, share)
@@ -91,6 +92,15 @@ class ReplayPanel:
     def _do(self, work: Any) -> None:
         self._viewer.do(work)
         self.update()
+
+
+def controls(state: State) -> Collection[str]:
+    """Return the names of the controls that a driver is offered in a state of the player."""
+    if state in OVER:
+        return ()
+    if state == "compiling":  # it then plays by itself
+        return ("speed",)
+    return ("pause", "speed") if state == "playing" else ("play", "step", "speed")
 
 
 def _status_text(status: PlayerStatus, share: float) -> str:

@@ -36,8 +36,8 @@ class Pace:
 
     @property
     def paused(self) -> bool:
-        """Whether it is paused, or will be before the next scan."""
-        return self._paused
+        """Whether it is paused, or will be before the next scan; not while all scans are let through."""
+        return self._paused and not self._unpaced
 
     @property
     def speed(self) -> float:

@@ -132,7 +132,9 @@ class Player:
         """
         position, total = self._position
         if not total:
-            raise ImpError("the length of this log is not known yet; play it as fast as possible")
+            begun = self._phase not in {"ready", "compiling"}
+            advice = "play it as fast as possible" if begun else "wait until it plays"
+            raise ImpError(f"the length of this log is not known yet; {advice}")
         if share * total < position:
             raise ImpError(
                 "a replay cannot go back, because scans cannot be removed from the map; start it again"

@@ -99,11 +99,21 @@ class TestLink:
             assert len(served.notices) == 2
             served.clock.ahead += 3600.0
             assert client.get("/camera.jpg").status_code == 401
-            assert "newest one is printed" in client.get("/login").text
+            text = client.get("/login").text
+            assert "newest one is printed where <code>imp robot</code> runs" in text
             client.get("/login")
             assert len(served.notices) == 3
             assert client.get(served.notices[2].removeprefix("open ")).status_code == 200
             assert client.get("/camera.jpg").status_code == 200
+
+    def test_the_login_of_a_replay_names_the_program_that_prints_the_link(
+        self, tmp_path, monkeypatch
+    ):
+        replay = stand_in(tmp_path)
+        replay.station = None
+        monkeypatch.setattr(f"{serving.__module__}.stand_in", lambda _: replay)
+        with serving(tmp_path, passwords=False) as served, served.client() as client:
+            assert "where <code>imp run --live</code> runs" in client.get("/login").text
 
 
 @pytest.fixture(scope="module")

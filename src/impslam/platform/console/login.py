@@ -31,18 +31,18 @@ _FORM = """<form method="post" action="/login">
       </form>"""
 _LINK = """<p>No password is set, so this page opens only by a link that works once.
         $where</p>"""
-_PRINTED = "The newest one is printed where <code>imp robot</code> runs."
+_PRINTED = "The newest one is printed where <code>$program</code> runs."
 _SOON = (
     "Open <a href='/login'>this page</a> again in $seconds s: a new one is then printed where "
-    "<code>imp robot</code> runs."
+    "<code>$program</code> runs."
 )
 _ENTER = '<p><a href="/">Open the page</a></p>'
 _REDIRECT = '<meta http-equiv="refresh" content="0; url=/" />'
 
 
-def routes(authenticator: Authenticator, title: str) -> Sequence[Route]:
-    """Return the routes of `/login`, its style, and `/logout`."""
-    endpoints = _LoginEndpoints(authenticator, title)
+def routes(authenticator: Authenticator, title: str, program: str) -> Sequence[Route]:
+    """Return the routes of `/login`, its style, and `/logout`; `program` prints the links."""
+    endpoints = _LoginEndpoints(authenticator, title, program)
     return [
         Route("/login", endpoints.form, methods=["GET"]),
         Route("/login", endpoints.enter, methods=["POST"]),
@@ -54,9 +54,9 @@ def routes(authenticator: Authenticator, title: str) -> Sequence[Route]:
 class _LoginEndpoints:
     """Answers requests for login and logout."""
 
-    def __init__(self, authenticator: Authenticator, title: str) -> None:
+    def __init__(self, authenticator: Authenticator, title: str, program: str) -> None:
         folder = files("impslam.platform.console")
-        self._authenticator, self._title = authenticator, title
+        self._authenticator, self._title, self._program = authenticator, title, program
         self._page = Template(folder.joinpath("login.html").read_text(encoding="utf-8"))
         self._style = folder.joinpath("login.css").read_bytes()
 
@@ -112,8 +112,9 @@ class _LoginEndpoints:
     def _link_offer(self) -> str:
         """Offer a link, and return the text that says where it is printed."""
         seconds = math.ceil(self._authenticator.offer_link())
-        where = Template(_SOON).substitute(seconds=seconds) if seconds else _PRINTED
-        return Template(_LINK).substitute(where=where)
+        where = Template(_SOON if seconds else _PRINTED)
+        printed = where.substitute(seconds=seconds, program=self._program)
+        return Template(_LINK).substitute(where=printed)
 
     def _page_with(
         self, body: str, message: str = "", head: str = "", status: int = 200

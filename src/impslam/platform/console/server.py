@@ -232,7 +232,8 @@ def allowed(settings: ServerSettings) -> tuple[bool, Accounts]:
 def _app(model: Model, authenticator: Authenticator, build: Callable[[Model], None]) -> FastAPI:
     """Return the app with page, login and downloads, without the guard."""
     app = FastAPI(openapi_url=None, docs_url=None, redoc_url=None)
-    app.router.routes += login.routes(authenticator, model.title)
+    program = "imp run --live" if model.station is None else "imp robot"
+    app.router.routes += login.routes(authenticator, model.title, program)
     app.router.routes += downloads.routes(authenticator, model.station)
     build(model)
     core.app.middleware_stack = None  # reset after an earlier server of a test

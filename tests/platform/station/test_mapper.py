@@ -4,6 +4,7 @@ import json
 import logging
 import math
 import re
+import signal
 import sys
 import threading
 import time
@@ -557,6 +558,20 @@ def test_the_estimator_is_compiled_in_place_if_the_subprocess_fails(monkeypatch,
         warm.warm_up(load("imp"))
     assert len(done) == 1
     assert "in place" in caplog.text
+
+
+@pytest.mark.parametrize(("sent", "reports"), [(signal.SIGTERM, 0), (signal.SIGKILL, 1)])
+def test_a_signal_that_ends_the_program_as_well_is_no_failure_to_compile(
+    monkeypatch, caplog, sent, reports
+):
+    """A shell and systemd send it to all processes."""
+    monkeypatch.setattr(warm, "rehearse", lambda *_: None)
+    monkeypatch.setattr(warm, "_done", set())
+    code = f"import os; os.kill(os.getpid(), {sent:d})"
+    run = warm.run_until_either_ends
+    monkeypatch.setattr(warm, "run_until_either_ends", lambda _: run([sys.executable, "-c", code]))
+    warm.warm_up(load("imp"))
+    assert len(caplog.records) == reports
 
 
 def test_a_rehearsal_closes_loops_refines_and_locates_the_robot(monkeypatch):

@@ -11,6 +11,7 @@ from __future__ import annotations
 import logging
 import math
 import os
+import signal
 import subprocess
 import sys
 import tempfile
@@ -34,6 +35,8 @@ SCANS = 100  # enough for landmarks to be created, matched and removed
 SCANS_TO_LOCATE = 200  # 20 s; a place is searched for once the robot has driven 3 m, after 12 s
 COMPILE_TIMEOUT = 600.0  # s for the process; three times what a slow computer needs
 NICENESS = 10
+ENDS = (-signal.SIGINT, -signal.SIGTERM)
+"""Exit codes of a process that was not meant to go on: these signals end this process, too."""
 
 _done: set[str] = set()
 _lock = threading.Lock()
@@ -94,7 +97,8 @@ def _compile_in_subprocess(table: str) -> None:
         try:
             run_until_either_ends(command)
         except (OSError, subprocess.SubprocessError) as error:
-            log.warning("compiling in a subprocess failed (%s); compiling in place", error)
+            if getattr(error, "returncode", 0) not in ENDS:
+                log.warning("compiling in a subprocess failed (%s); compiling in place", error)
 
 
 def run_until_either_ends(command: list[str]) -> None:

@@ -312,6 +312,31 @@ def test_scans_and_odometry_are_of_the_same_robot(tmp_path, in_tf):
     assert used == ("/tf" if in_tf else "/two/odom")
 
 
+@pytest.mark.parametrize("in_tf", [True, False])
+def test_robots_with_equal_frames_have_transforms_in_their_own_namespace(tmp_path, in_tf):
+    """Nav2 remaps /tf and /tf_static into the namespace of each robot, and leaves the frames alone."""
+    world, found, rear = load_world("room"), [], ("base_link", "laser", [-0.3, 0, 0], ZERO)
+    for name, where, ways in (("one", "tf_static", URDF), ("two", "tf", (URDF[0], rear))):
+        odometry = {} if in_tf else {"/odom": "base_footprint"}
+        recipe = Recipe(static=(), odometry=odometry)
+        entries = [(0.0, f"/{where}", T.links(STAMP, ways)), *drive(world, recipe)[0]]
+        found += [(t, f"/{name}{topic}", one) for t, topic, one in entries if t < 1.0]
+    found += [(0.55, "/two/tf", T.links(STAMP, URDF))]
+    found.sort(key=lambda entry: entry[0])
+    log = write(tmp_path / "bag", Recipe(), found)
+    messages, problems, line = read(log)
+    assert "(mount [0.100 m, 0.050 m, 0.0 deg], /one/tf_static: one/base_footprint -> " in line
+    assert "/two/scan ([-0.300 m, 0.000 m, 0.0 deg], /two/tf: two/base_footprint" in line
+    assert "is the lidar of another robot, which --topic scan=/two/scan maps instead" in line
+    assert line.endswith("odometry /one/tf" if in_tf else "odometry /one/odom")
+    assert problems.counts == {}
+    assert sum(isinstance(one, LaserScan) for one in messages) == 10
+    with RosBag(path=log, topics={"scan": "/two/scan"}) as source:
+        source.watch_mounts(["/two/scan"])
+        list(source.batches())
+        assert source.problems.counts == {"scan on a moved mount": 4}
+
+
 def test_scans_without_a_frame_are_reported(entries, tmp_path):
     for entry in entries:
         if entry[1] == "/scan":

@@ -49,8 +49,9 @@ class MountWatch:
                 self._moved[stream] = difference(self._first[stream], T)
 
     def may_be_in(self, data: bytes) -> bool:
-        """Return whether a serialised message contains the names of the frames of one of the links."""
-        return any(all(frame.encode() in data for frame in pair) for pair in self.pairs)
+        """Return whether a serialised message contains the frames of a link, without namespace."""
+        names = ([frame.rsplit("/", 1)[-1].encode() for frame in pair] for pair in self.pairs)
+        return any(all(name in data for name in pair) for pair in names)
 
     def moved(self, stream: str) -> str:
         """Return the difference of the mount of a stream's laser from the first one, or ""."""

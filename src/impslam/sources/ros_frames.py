@@ -5,7 +5,7 @@ The names of frames follow REP 105: odometry is the pose of base_footprint or ba
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from itertools import islice
 from pathlib import Path
@@ -20,7 +20,7 @@ from impslam.sources.folders import piece
 from impslam.sources.mount_watch import MountWatch
 from impslam.sources.ros_messages import read_transform
 from impslam.sources.ros_storage import Bag, RosMessage
-from impslam.sources.ros_topics import ODOMETRY_TYPE, TF_TYPES, TYPES, is_truth
+from impslam.sources.ros_topics import ODOMETRY_TYPE, TF_TYPES, TYPES, is_truth, namespace
 from impslam.sources.static_links import StaticLinks
 from impslam.sources.transforms import FrameTransform, FrameTree, flattened
 from impslam.types import Array
@@ -62,6 +62,9 @@ class Edge(NamedTuple):
 class Frames:
     """The frames of a log at its first scan.
 
+    Several robots in one log may have equal names of frames, in topics of their own. Here the names begin
+    with the namespace of these topics then.
+
     Attributes
     ----------
     lasers, receivers : frame of each topic of scans, and of each topic of GNSS fixes
@@ -73,6 +76,7 @@ class Frames:
         self.written: dict[str, str] = {}
         self.receivers: dict[str, str] = {}
         self._path, self._problems = path, problems
+        self._robots = _robots(bag.connections)
         self._tree, self._sources = FrameTree(), dict[frozenset[str], str]()
         self._static, self._bad = StaticLinks(), dict[str, str]()
         self._edges: dict[Edge, None] = {}
@@ -90,10 +94,14 @@ class Frames:
         for connection in bag.connections:
             if connection.msgtype == ODOMETRY_TYPE and not is_truth(connection.topic):
                 for message, _ in first_message(bag, connection):
-                    self._children[connection.topic] = _plain(message.child_frame_id)
+                    self._children[connection.topic] = self._name(
+                        connection.topic, message.child_frame_id
+                    )
             elif connection.msgtype in TYPES["fix"]:
                 for message, _ in first_message(bag, connection):
-                    self.receivers[connection.topic] = _plain(message.header.frame_id)
+                    self.receivers[connection.topic] = self._name(
+                        connection.topic, message.header.frame_id
+                    )
         return self._read_scans(bag, scan_frame)
 
     def _read(self, bag: Bag, publishers: Sequence[Connection], begin: int) -> None:
@@ -125,14 +133,15 @@ class Frames:
             for connection, _, message in islice(_decoded(bag, scans), FIRST_SCANS):
                 if _plain(message.header.frame_id) == chosen:
                     self.written[connection.topic] = message.header.frame_id
-        self.lasers = {topic: _plain(frame) for topic, frame in self.written.items()}
+        self.lasers = {topic: self._name(topic, frame) for topic, frame in self.written.items()}
         return min(times, default=0)
 
     def _learn(self, topic: str, message: RosMessage, is_before: bool) -> None:
         """Add the transforms of a message; of each, the last one before the first scan counts."""
         for transform in message.transforms:
-            parent, child = _plain(transform.header.frame_id), _plain(transform.child_frame_id)
-            self._edges[Edge(topic, transform.header.frame_id, transform.child_frame_id)] = None
+            edge = Edge(topic, transform.header.frame_id, transform.child_frame_id)
+            self._edges[edge] = None
+            parent, child = self._ends(edge)
             counts = is_before or self._tree.lacks(parent, child)
             if not counts and not topic.endswith(STATIC):
                 continue
@@ -161,7 +170,7 @@ class Frames:
 
     def _report_reversed(self) -> None:
         """Report the links that the tree contains in reverse."""
-        published = {(_plain(e.parent), _plain(e.child)): e.topic for e in self._edges}
+        published = {self._ends(edge): edge.topic for edge in self._edges}
         for (parent, child), topic in published.items():
             link = self._tree.get(parent)
             if link is not None and link.parent == child and (child, parent) not in published:
@@ -188,15 +197,44 @@ class Frames:
             for edge in self._edges
             if "odom" in _last(edge.parent) and not edge.topic.endswith(STATIC)
         ]
-        ancestors = {frame := self.lasers.get(scan, "")}
+        ancestors, robot = {frame := self.lasers.get(scan, "")}, self._robot(scan)
         with suppress(MessageError):
             ancestors |= {link.parent for link in self._tree.up(frame)}
         ranked = [
-            (_plain(e.child) not in ancestors, _last(e.child) not in BASES, k)
+            (
+                self._ends(e)[1] not in ancestors,
+                _last(e.child) not in BASES or self._robot(e.topic) != robot,
+                k,
+            )
             for k, e in enumerate(found)
         ]
         best = min(ranked, default=None)
         return None if best is None or (best[0] and best[1]) else found[best[2]]
+
+    # ------------------------------------------------------------------ names
+
+    def _robot(self, topic: str) -> str:
+        """Return the namespace of the robot that a topic is from; "" unless the log has several robots."""
+        own = namespace(topic)
+        return own if own in self._robots else ""
+
+    def _name(self, topic: str, frame: str) -> str:
+        """Return the name of a frame, which begins with the namespace of its robot if there are several."""
+        robot, frame = self._robot(topic).lstrip("/"), _plain(frame)
+        is_whole = not frame or not robot or frame.startswith(f"{robot}/")
+        return frame if is_whole else f"{robot}/{frame}"
+
+    def _ends(self, edge: Edge) -> tuple[str, str]:
+        """Return the names of the parent and the child of a transform."""
+        return self._name(edge.topic, edge.parent), self._name(edge.topic, edge.child)
+
+    def links(self, bag: Bag, connection: Connection, data: bytes) -> Iterator[FrameTransform]:
+        """Yield the valid links of a serialised message."""
+        with suppress(Exception):  # rosbags may raise anything on damaged data
+            for transform in bag.decoder(connection)(data).transforms:
+                edge = Edge(connection.topic, transform.header.frame_id, transform.child_frame_id)
+                with suppress(MessageError):
+                    yield FrameTransform(*self._ends(edge), read_transform(transform))
 
     # ------------------------------------------------------------------ mounts
 
@@ -216,7 +254,7 @@ class Frames:
     ) -> dict[str, Mount]:
         base = self._children.get(odometry, "")
         if edge is not None and odometry == edge.topic:
-            base = _plain(edge.child)
+            base = self._ends(edge)[1]
         mounts = {topic: self._mount(frame, base) for topic, frame in frames.items()}
         if self._edges:
             return mounts
@@ -270,9 +308,7 @@ class Frames:
         return ""
 
     def _named(self, names: Sequence[str]) -> list[str]:
-        known = dict.fromkeys(
-            [_plain(n) for edge in self._edges for n in (edge.parent, edge.child)]
-        )
+        known = dict.fromkeys([name for edge in self._edges for name in self._ends(edge)])
         return [frame for name in names for frame in known if _last(frame) == name]
 
     def _unknown(self, frame: str) -> str:
@@ -292,13 +328,12 @@ class Frames:
         return f"{frame} leads up to {top}, not to {base}{self._end}"
 
 
-def links(decode: Callable[[bytes], RosMessage], data: bytes) -> Iterator[FrameTransform]:
-    """Yield the valid links of a serialised message."""
-    with suppress(Exception):  # rosbags may raise anything on damaged data
-        for transform in decode(data).transforms:
-            with suppress(MessageError):
-                parent, child = _plain(transform.header.frame_id), _plain(transform.child_frame_id)
-                yield FrameTransform(parent, child, read_transform(transform))
+def _robots(connections: Sequence[Connection]) -> set[str]:
+    """Return the namespaces of robots, which have scans and transforms; none of a single robot."""
+    recorded = [connection for connection in connections if connection.msgcount]
+    scans = {namespace(c.topic) for c in recorded if c.msgtype in TYPES["scan"]}
+    found = scans & {namespace(c.topic) for c in recorded if c.msgtype in TF_TYPES}
+    return found if len(found) > 1 else set()
 
 
 def _is_static(connection: Connection) -> bool:

@@ -127,11 +127,12 @@ def _unlikely(use: Use, topic: str, scan: str, is_frequent: bool) -> tuple[bool,
     if use == "scan":
         return False, not (name == "scan" and is_frequent)
     if use == "odometry":
-        return _namespace(topic) != _namespace(scan), name != "odom"
+        return namespace(topic) != namespace(scan), name != "odom"
     return False, False
 
 
-def _namespace(topic: str) -> str:
+def namespace(topic: str) -> str:
+    """Return the namespace of a robot that a topic begins with, "" if it has none."""
     return "/".join(topic.split("/")[:2]) if topic.count("/") > 1 else ""
 
 

@@ -20,7 +20,7 @@ from impslam.component import parameter, register
 from impslam.errors import SourceError
 from impslam.sources.base import Mount, Source, Stream
 from impslam.sources.parts import Piece
-from impslam.sources.ros_frames import Edge, Frames, links
+from impslam.sources.ros_frames import Edge, Frames
 from impslam.sources.ros_rows import NumberedRecord, RowReader
 from impslam.sources.ros_storage import (
     Bag,
@@ -305,7 +305,7 @@ class RosBag(Source):
         size = 0
         for connection, log_time, data in self._raw(bag, [*used, *others]):
             if connection in watched and watch.may_be_in(data):
-                watch.update(links(bag.decoder(connection), data))
+                watch.update(self._frames.links(bag, connection, data))
             if connection.topic not in topics:
                 self._report_event(connection, data)
                 continue

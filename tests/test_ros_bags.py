@@ -4,7 +4,7 @@ import shutil
 
 import numpy as np
 import pytest
-from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import CompressionMode, StoragePlugin
 from tests.sources.ros_recipes import BAGS
 from tests.sources.ros_robots import Recipe, drive, write
 
@@ -83,7 +83,32 @@ def test_a_folder_of_several_pieces_is_one_log(room, tmp_path):
     assert worst(impslam.run(log).path(), truth) < 0.01
 
 
-@pytest.mark.parametrize("plugin", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
+PLUGINS = [StoragePlugin.MCAP, StoragePlugin.SQLITE3]
+
+
+@pytest.mark.parametrize("plugin", PLUGINS)
+@pytest.mark.parametrize("mode", [CompressionMode.FILE, CompressionMode.MESSAGE])
+def test_a_compressed_folder_without_metadata_is_one_log(room, tmp_path, plugin, mode):
+    """Of a file whose compression was interrupted, the original is read."""
+    recipe = Recipe(plugin=plugin, compression=mode)
+    entries, truth = drive(room, recipe)
+    middle = len(entries) // 2
+    (log := tmp_path / "bag").mkdir()
+    for k, part in ((9, entries[:middle]), (10, entries[middle:])):
+        (file,) = write(tmp_path / str(k), recipe, part).glob(f"{k}.*")
+        file.rename(log / f"bag_{file.name}")
+    if mode is CompressionMode.FILE:
+        rest = write(tmp_path / "rest", Recipe(plugin=plugin), entries[middle:])
+        (whole,) = rest.glob("rest.*")
+        (packed,) = log.glob("bag_10.*")
+        packed.write_bytes(packed.read_bytes()[:1000])
+        whole.rename(packed.with_suffix(""))
+    config, source = open_log(log)
+    assert worst(map_log(config, source).path(), truth) < 0.01
+    assert source.problems.counts == {"cut file": 1}
+
+
+@pytest.mark.parametrize("plugin", PLUGINS)
 def test_a_folder_that_its_recorder_did_not_close_is_one_log(room, tmp_path, plugin):
     """Pieces 9 and 10, of which the name of the later one comes first by alphabet."""
     recipe = Recipe(plugin=plugin)

@@ -5,12 +5,10 @@ from __future__ import annotations
 import shutil
 import sqlite3
 import tempfile
-from collections.abc import Collection, Generator
 from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any
 
-from rosbags.interfaces import Connection
 from rosbags.rosbag2.errors import ReaderError
 from rosbags.rosbag2.metadata import ReaderMetadata
 from rosbags.rosbag2.reader import DirectoryReader
@@ -19,7 +17,7 @@ from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 from impslam.sources.folders import numbered_pieces
 from impslam.sources.mcap_reader import CutMcapReader
 from impslam.sources.ros1_files import merged
-from impslam.sources.unpack import UNIT_LIMIT, check_unpacked, unpack_zstd
+from impslam.sources.unpack import UNIT_LIMIT, check_unpacked, unpack_file
 
 
 class PlainSqlite3Reader(Sqlite3Reader):
@@ -71,6 +69,7 @@ class PlainSqlite3Reader(Sqlite3Reader):
         super()._open()
 
 
+PACKED = ".zstd"
 _SQLITE_LIMIT_LENGTH = 0  # id of the limit on the length of a text or a blob
 _COMPUTED = """
     SELECT m.name FROM sqlite_master m LEFT JOIN pragma_table_xinfo(m.name) c
@@ -88,22 +87,11 @@ class BagFolder(DirectoryReader):
         for path in Path(str(self.path)).iterdir():
             if path.exists() and not (path.is_file() or path.is_dir()):
                 raise ReaderError(f"{path.name!r} is neither a file nor a folder.")
-            if path.suffix == ".zstd":
+            if path.suffix == PACKED:
                 check_unpacked(path, shutil.disk_usage(tempfile.gettempdir()).free // 2)
         super().open()
         self.is_cut = any(isinstance(f, CutMcapReader) and f.is_cut for f in self.storages)
-        self._packs_messages = self.metadata.compression_mode == "message"
-        self.metadata = self.metadata._replace(compression_mode=None)  # see `messages`
-
-    def messages(
-        self,
-        connections: Collection[Connection],
-        start: int | None = None,
-        stop: int | None = None,
-    ) -> Generator[tuple[Connection, int, bytes], None, None]:
-        """Yield (connection, log time in ns, data)."""
-        for connection, stamp, data in super().messages(connections, start, stop):
-            yield connection, stamp, unpack_zstd(data) if self._packs_messages else data
+        self.metadata = self.metadata._replace(compression_mode=None)  # `Bag` unpacks messages
 
 
 class UnlistedFolder(BagFolder):
@@ -115,19 +103,28 @@ class UnlistedFolder(BagFolder):
         self.path, self.stack = path, None
         self.connections, self.files, self.storages = [], [], []
         self.metadata = ReaderMetadata(0, 2**63 - 1, 0, 0, None, None, None, None)
-        self._packs_messages = False
 
     @staticmethod
     def pieces(path: Path) -> list[Path]:
-        """Return the files of a bag in order, NAME_0, NAME_1, ...; none if there are others."""
-        found = [file for suffix in _PIECES for file in path.glob(f"*{suffix}") if file.is_file()]
-        return numbered_pieces(found) if len(found) > 1 else found
+        """Return the files of a bag in order, NAME_0, NAME_1, ...; none if there are others.
+
+        A recorder that was killed while it compressed a file has left both; the compressed one is cut.
+        """
+        found: dict[Path, Path] = {}
+        for packed in (PACKED, ""):
+            for suffix in _PIECES:
+                files = path.glob(f"*{suffix}{packed}")
+                found |= {Path(str(f).removesuffix(packed)): f for f in files if f.is_file()}
+        names = numbered_pieces(found) if len(found) > 1 else list(found)
+        return [found[name] for name in names]
 
     def open(self) -> None:
         """Open the files."""
         self.stack = ExitStack()
         try:
-            for path in self.pieces(Path(str(self.path))):
+            folder = Path(self.stack.enter_context(tempfile.TemporaryDirectory()))
+            for file in self.pieces(Path(str(self.path))):
+                path = unpack_file(file, folder) if file.suffix == PACKED else file
                 storage = _PIECES[path.suffix](path)
                 storage.open()
                 self.stack.callback(storage.close)

@@ -17,7 +17,7 @@ from impslam.errors import SourceError
 from impslam.sources.mcap_reader import MAGIC, CutMcapReader, ForeignError
 from impslam.sources.ros1_files import BoundedReader1, SplitReader1
 from impslam.sources.ros_files import BagFolder, PlainSqlite3Reader, UnlistedFolder
-from impslam.sources.unpack import LimitError
+from impslam.sources.unpack import ZSTD_MAGIC, LimitError, unpack_zstd
 
 Storage: TypeAlias = BoundedReader1 | SplitReader1 | BagFolder | CutMcapReader | PlainSqlite3Reader
 RosMessage: TypeAlias = Any  # rosbags creates the classes at run time
@@ -116,9 +116,14 @@ class Bag:
     def messages(
         self, connections: Collection[Connection]
     ) -> Iterator[tuple[Connection, int, bytes]]:
-        """Yield (connection, log time in ns, data) in order of log time."""
+        """Yield (connection, log time in ns, data) in order of log time.
+
+        Data of ROS 2 begin with a zero byte, unless the recorder has compressed each message.
+        """
         try:
-            yield from self._storage.messages(connections)
+            for connection, time, data in self._storage.messages(connections):
+                packed = data[:4] == ZSTD_MAGIC and not self.is_ros1
+                yield connection, time, unpack_zstd(data) if packed else data
         except LimitError as error:
             raise _too_large(self._path, error) from None
 

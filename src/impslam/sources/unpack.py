@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import bz2
+import shutil
 import sys
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -16,6 +17,8 @@ if sys.version_info >= (3, 14):
     from compression import zstd
 else:
     from backports import zstd  # which rosbags depends on
+
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 UNIT_LIMIT = 64_000_000
 """Maximum size of a unit that is unpacked at once (a chunk, a record or a message), bytes. Recorders end a
@@ -80,6 +83,15 @@ def check_unpacked(path: Path, limit: int) -> None:
         while size <= limit and (part := file.read(1 << 20)):
             size += len(part)
     check_size(f"{path.name}, which needs temporary disk space", size, limit)
+
+
+def unpack_file(path: Path, folder: Path) -> Path:
+    """Unpack a file of zstd frames to a folder, unless it has half the room of the disk or more."""
+    check_unpacked(path, shutil.disk_usage(folder).free // 2)
+    target = folder / path.stem
+    with zstd.open(path, "rb") as packed, target.open("wb") as file:
+        shutil.copyfileobj(packed, file)
+    return target
 
 
 def check_together(spans: Iterable[tuple[int, int, int]]) -> None:

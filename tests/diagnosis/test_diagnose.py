@@ -13,7 +13,7 @@ from tests import log_faults as faults
 
 from impslam.calibration.lidar_path import determines_pose, unmounted
 from impslam.calibration.recording import record_batches
-from impslam.columns import Batch, Columns, batches, log_order
+from impslam.columns import Batch, Columns, batches, log_order, messages
 from impslam.config import load
 from impslam.diagnosis.agreement import drive_axis, fit_agreement
 from impslam.diagnosis.beam_samples import MAX_SCANS, BeamSamples
@@ -344,6 +344,23 @@ def test_odometry_at_1_hz_shows_no_lag(drive) -> None:
     assert "stamps late" in harm(late)
     rarely = list(faults.faulty(late, faults.of((WheelAngles, Imu), rare)))
     assert "stamps late" not in [one.kind for one in found(rarely)]
+
+
+@pytest.mark.parametrize("step", [0.5, 1.0])
+def test_stamps_in_whole_seconds_are_reported_and_nothing_else_is_concluded(drive, step) -> None:
+    """As of a CSV log with a pose and a scan in each row; its headings are not wrapped."""
+    true = [c for batch in drive for c in batch.values() if c.kind is TruePose]
+    stamps, poses = (np.concatenate([c[name] for c in true]) for name in ("stamp", "pose"))
+    rows = []
+    for scan in messages(drive):
+        if isinstance(scan, LaserScan):
+            stamp, k = math.floor(scan.stamp / step) * step, np.searchsorted(stamps, scan.stamp)
+            rows.append(OdometryPose(stamp, poses[k] + [0.0, 0.0, 2.0 * math.tau]))
+            rows.append(replace(scan, stamp=stamp))
+    wrong = list(batches((type(row).__name__, row) for row in rows))
+    problems = [one for one in diagnose(load("default"), wrong, {}) if one.harmful]
+    assert [one.kind for one in problems] == ["stamps repeat"]
+    assert f"stamps come in steps of {step:g} s" in problems[0].what
 
 
 def test_stamps_in_ms_are_noted(drive) -> None:

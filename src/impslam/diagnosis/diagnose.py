@@ -21,7 +21,7 @@ from impslam.diagnosis.odometry import check_odometry
 from impslam.diagnosis.presets import check_preset
 from impslam.diagnosis.range_offset import check_range_offset
 from impslam.diagnosis.scales import check_scales
-from impslam.diagnosis.stamps import check_clocks, check_stamps
+from impslam.diagnosis.stamps import check_clocks, check_repeats, check_stamps
 from impslam.diagnosis.sweep import check_overlap, check_times
 from impslam.diagnosis.units import check_pose_units, check_range_unit
 from impslam.diagnosis.wheels import check_wrap
@@ -40,7 +40,8 @@ MIN_SCANS = 50
 """Fewer scans do not contain enough motion, and matching them takes longer than such a run."""
 
 LIDAR_ROOTS = (
-    check_range_unit, check_noise, check_overlap, check_field_of_view, check_range_offset, check_clocks,
+    check_range_unit, check_noise, check_overlap, check_field_of_view, check_range_offset, check_repeats,
+    check_clocks,
 )  # fmt: skip
 ODOMETRY_ROOTS = (check_wrap, check_pose_units, check_preset)
 """The faults of a lidar, and of odometry, that these find would cause findings of the other checks."""

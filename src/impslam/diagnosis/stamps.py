@@ -7,10 +7,13 @@ from collections.abc import Iterator
 import numpy as np
 
 from impslam.diagnosis.evidence import Evidence
+from impslam.diagnosis.file_order import without_repeats
 from impslam.diagnosis.finding import Finding, is_off, probability_off
 from impslam.diagnosis.lag import Lag
 from impslam.health import MISTIMED, LogFault
 
+MAX_SHARED = 0.5
+"""Share of scans with the stamp of the scan before, beyond which stamps do not tell their times."""
 QUEUE_LAG = 0.2
 """s: if scans are matched, only the stamps of the path are wrong. Drivers stamp a sweep or two late; more
 is a queue or another clock, and 10 cm at half a metre per second."""
@@ -40,6 +43,26 @@ def check_clocks(e: Evidence) -> Iterator[Finding]:
         fault=LogFault(MISTIMED, abs(late - e.lidar.latency)),
         lidar=e.name,
     )
+
+
+def check_repeats(e: Evidence) -> Iterator[Finding]:
+    """Find stamps that most scans share with the scan before, e.g. those in whole seconds."""
+    if e.untimed or not e.recording.scans:
+        return
+    scans = without_repeats(e.recording).scans
+    steps = np.diff(np.concatenate([c.stamps for c in scans]))
+    shared = int((steps == 0.0).sum())
+    if shared > MAX_SHARED * len(steps):
+        interval = float(np.median(steps[steps > 0.0])) if steps.any() else 0.0
+        steps_of = f": stamps come in steps of {interval:.3g} s" if interval else ""
+        yield Finding(
+            "stamps repeat",
+            f"{shared} of {len(steps) + 1} scans have the stamp of the scan before{steps_of}, so lags and "
+            "speeds are unknown, and odometry was not checked",
+            certainty=1.0,
+            advice="record or export the log with stamps in ms or finer",
+            lidar=e.name,
+        )
 
 
 def check_stamps(e: Evidence) -> Iterator[Finding]:

@@ -20,6 +20,8 @@ MIN_SHARE = 0.9
 MILLIMETRES = 1000.0
 MIN_JUMPS = 0.5
 """Share of the steps that are jumps: single ones are resets or lost readings."""
+MIN_STEP = 1e-3
+"""s: odometry comes at 1000 Hz at most."""
 MAX_TURN_RATE = 10.0
 """rad/s, more than a turn and a half per second."""
 MIN_PERIOD = 20.0
@@ -64,11 +66,25 @@ def check_pose_units(e: Evidence) -> Iterator[Finding]:
 
 def _poses(odometry: OdometryPoses, readings: Sequence[Columns]) -> Iterator[Finding]:
     times, poses = _steps(readings, "stamp"), _steps(readings, "pose")
-    seconds = np.fmax(times, max(float(np.median(times)), 1e-3)) if len(times) else times
+    usual = _usual_time(times)
+    seconds = np.fmax(times, usual)
     yield from _lengths(odometry, np.hypot(*poses[:, :2].T), seconds)
     headings = np.concatenate([np.asarray(c["pose"])[:, 2] for c in readings])
-    if np.abs(headings).max() > math.tau:  # else they may be wrapped, and look fast at each turn
+    if (
+        usual and np.abs(headings).max() > math.tau
+    ):  # else they may be wrapped, and look fast at each turn
         yield from _turns(np.abs(poses[:, 2]), seconds)
+
+
+def _usual_time(times: Array) -> float:
+    """Return the usual time from row to row, s, of times (m,); 0 if they show none.
+
+    It is the median, or the mean if most rows share their stamp with others, as stamps in whole seconds do.
+    """
+    for usual in (np.median(times), np.fmax(times, 0.0).mean()) if len(times) else ():
+        if usual >= MIN_STEP:
+            return float(usual)
+    return 0.0
 
 
 def _lengths(odometry: OdometryPoses, lengths: Array, seconds: Array) -> Iterator[Finding]:

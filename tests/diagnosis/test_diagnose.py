@@ -363,9 +363,21 @@ def test_stamps_in_whole_seconds_are_reported_and_nothing_else_is_concluded(driv
     assert f"stamps come in steps of {step:g} s" in problems[0].what
 
 
-def test_stamps_in_ms_are_noted(drive) -> None:
+def test_stamps_in_ms_are_a_problem(drive) -> None:
     wrong = list(faults.faulty(drive, lambda c: faults.with_values(c, stamp=1000.0 * c.stamps)))
-    assert "stamps in ms" in [one.kind for one in found(wrong)]
+    assert harmful(found(wrong)).keys() == {"stamps in ms"}
+
+
+def test_scans_that_are_far_apart_may_have_stamps_in_s(drive) -> None:
+    """A robot that takes half a minute from scan to scan."""
+
+    def rare(c: Columns) -> Columns:
+        kept = c.take(slice(None, None, 8)) if c.kind is LaserScan else c
+        return faults.with_values(kept, stamp=40.0 * kept.stamps)
+
+    rarely = list(faults.faulty(drive, rare))
+    assert "stamps in ms" in [one.kind for one in found(rarely)]
+    assert "stamps in ms" not in harm(rarely)
 
 
 def test_a_straight_drive_does_not_show_where_the_laser_is(rng) -> None:

@@ -27,6 +27,10 @@ MAX_TURN_RATE = 10.0
 MIN_PERIOD = 20.0
 """s from scan to scan: in ms, 50 scans per second, the most of usual lidars."""
 
+MIN_PACE = 3e-3
+"""m/s + rad/s, mean motion by odometry: in ms, 3 m/s, more than robots average. Robots that stop for a scan
+every half a minute have ten times as much."""
+
 
 def check_range_unit(e: Evidence) -> list[Finding]:
     """Find ranges in mm."""
@@ -53,15 +57,24 @@ def check_pose_units(e: Evidence) -> Iterator[Finding]:
     """Find poses in mm or degrees, and stamps in ms."""
     period = e.timing.period
     if period >= MIN_PERIOD:
-        yield Finding(
-            "stamps in ms",
-            f"scans are stamped {period:.4g} s apart: their stamps may be in ms",
-            advice="of a CSV log, give --columns stamp=NAME*0.001",
-            certainty=0.5,
-            harmful=False,
-        )
+        yield _milliseconds(e, period)
     elif isinstance(e.odometry, OdometryPoses) and e.recording.odometry and not e.untimed:
         yield from _poses(e.odometry, e.recording.odometry)
+
+
+def _milliseconds(e: Evidence, period: float) -> Finding:
+    """Return the finding on stamps in ms, a problem if odometry moves more slowly than any robot."""
+    pace = e.odometry_total / (period * sum(map(len, e.recording.scans)))
+    is_slow = 0.0 < pace < MIN_PACE
+    moves = f", and odometry moves by {1000.0 * pace:.2g} mm or mrad per second" if is_slow else ""
+    what = f"scans are stamped {period:.4g} s apart{moves}: their stamps {'are' if is_slow else 'may be'}"
+    return Finding(
+        "stamps in ms",
+        f"{what} in ms",
+        advice="of a CSV log, give --columns stamp=NAME*0.001",
+        certainty=0.99 if is_slow else 0.5,
+        harmful=is_slow,
+    )
 
 
 def _poses(odometry: OdometryPoses, readings: Sequence[Columns]) -> Iterator[Finding]:

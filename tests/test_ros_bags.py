@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 from tests.sources.ros_recipes import BAGS
-from tests.sources.ros_robots import Recipe, drive, write
+from tests.sources.ros_robots import Recipe, Types, drive, write
 
 import impslam
 from impslam.config_from_log import choices
@@ -128,3 +128,15 @@ def test_a_folder_that_its_recorder_did_not_close_is_one_log(room, tmp_path, plu
     piece.rename(piece.with_stem("other_9"))
     with pytest.raises(SourceError, match=r"it contains 2 logs, bag_10\..*, other_9\."):
         open_log(log)
+
+
+def test_why_all_odometry_was_dropped_is_said(room, tmp_path):
+    recipe = Recipe(odometry={"/odom": "base_footprint"}, tf_odometry=None)
+    entries = [entry for entry in drive(room, recipe)[0] if entry[0] < 1.0]
+    for _, topic, message in entries:
+        if topic == "/odom":
+            message.pose.pose.orientation = Types(ros1=False).quaternion([0, 0, 0])
+            message.pose.pose.orientation.w = 0.0
+    said = r"no OdometryPose .*; \d+ x malformed odometry message: .*: /odom: .*zero quaternion"
+    with pytest.raises(SourceError, match=said):
+        impslam.run(write(tmp_path / "bag", recipe, entries))

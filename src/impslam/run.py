@@ -402,7 +402,8 @@ class Run:
             )
         if not self.has_odometry:
             wanted = self.robot.odometry.consumes.__name__
-            hint = source.unknown_odometry() or "`imp inspect` lists its contents"
+            why = source.most_frequent_problem(self.robot.streams.odometry.stream)
+            hint = why or source.unknown_odometry() or "`imp inspect` lists its contents"
             raise SourceError(
                 f"{source.path}: no {wanted} for odometry {self.config.odometry['kind']!r} in "
                 f"it; {hint}; choose another with --set odometry.kind=..., or lidar_only to map without "

@@ -187,10 +187,15 @@ class Source(Component):
 
     def explain_emptiness(self) -> str:
         """Return the error for a log without a usable scan: what to do, or its most frequent problem."""
-        counts, examples = self.problems.counts, self.problems.examples
-        most = max(counts, key=lambda kind: counts[kind], default="")
-        why = self.missing_scans() or (most and f"{counts[most]} x {most}: {examples[most]}")
+        why = self.missing_scans() or self.most_frequent_problem()
         return f"{self.path}: contains no usable scan; {why or '`imp inspect` lists its contents'}"
+
+    def most_frequent_problem(self, stream: str | None = None) -> str:
+        """Return count and first example of the most frequent problem, of a stream if given, or ""."""
+        counts, examples = self.problems.counts, self.problems.examples
+        kinds = [kind for kind in counts if stream is None or f": {stream}: " in examples[kind]]
+        most = max(kinds, key=lambda kind: counts[kind], default="")
+        return most and f"{counts[most]} x {most}: {examples[most]}"
 
     def mounts(self) -> Mapping[str, Mount]:
         """Return the mounts of the lasers according to the log, by the stream of their scans.

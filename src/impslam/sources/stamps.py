@@ -11,6 +11,9 @@ from impslam.sources.parts import Piece, by_stream
 from impslam.types import Array, Ints, Mask
 
 MIN_GAP = 10.0  # s; at walking pace a robot may then be in another room, beyond any gate
+MIN_BREAK = 600.0
+"""s; a longer gap is likely to be that between two drives. The robot may have been carried meanwhile, and its
+odometry may begin at 0 again, which the run takes for motion."""
 
 
 class StampCheck:
@@ -59,8 +62,12 @@ def _kinds(steps: Array) -> dict[str, Mask]:
 
 
 def _describe(kind: str, before: float, stamp: float) -> str:
+    silent = stamp - before
+    why = "was recording paused?"
+    if silent > MIN_BREAK:
+        why = "if another drive begins there, split the log and continue the map with --map"
     return {
-        "gap": f"was silent for {stamp - before:.1f} s; was recording paused?",
+        "gap": f"was silent for {silent:.1f} s; {why}",
         "backward stamp": f"has a stamp {before - stamp:.6f} s before that of its predecessor; file "
         "order is kept",
         "repeated stamp": f"has the same stamp as its predecessor, {stamp:.6f}",

@@ -5,7 +5,7 @@ The codes are ordered: of several reasons that apply to a scan, the greatest one
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -170,34 +170,45 @@ class Health(NamedTuple):
 
     def spans(self) -> Iterator[Span]:
         """Yield the spans of scans that cannot be trusted, in order."""
-        edges = np.flatnonzero(np.diff(self.reasons, prepend=-1, append=-1))
-        for a, b in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
+        for a, b in self._stretches():
             reason, amounts = int(self.reasons[a]), self.amounts[a:b]
             worst = amounts.min() if reason in _SHARES else amounts.max()
-            if reason != NONE:
-                span = float(self.stamps[a]), float(self.stamps[b - 1])
-                yield Span(*span, reason, float(worst), b - a)
+            span = float(self.stamps[a]), float(self.stamps[b - 1])
+            yield Span(*span, reason, float(worst), b - a)
+
+    def _stretches(self) -> Iterator[tuple[int, int]]:
+        """Yield the first scan of each span, and the one after its last."""
+        edges = np.flatnonzero(np.diff(self.reasons, prepend=-1, append=-1))
+        for a, b in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
+            if self.reasons[a] != NONE:
+                yield a, b
 
     @property
     def summary(self) -> str:
         """One line for the report and the terminal."""
-        if self.silent:
-            before = self._replace(silent=0.0).summary.removesuffix("; TRACKING at the end")
-            why = f"no scan in the last {self.silent:.0f} s, while the robot moves on"
-            return f"{before}; at the end {self.at_end}: {why}"
         spans = list(self.spans())
-        if not spans:
-            return "TRACKING throughout"
-        if len(spans) == 1 and spans[0].scans == len(self.stamps):
-            return f"{spans[0].state} throughout: {spans[0].description}"
-        counts = self.counts()
-        line = ", ".join(f"{state} at {counts[state]} scans" for state in STATES if counts[state])
-        worst = max(spans, key=lambda span: (span.reason >= ELSEWHERE, span.scans))
-        begin = worst.begin - float(self.stamps.min())
-        line += f"; the longest begins {begin:.1f} s after the start: {worst.description}"
+        line = self._course(spans)
+        if self.silent:
+            why = f"no scan in the last {self.silent:.0f} s, while the robot moves on"
+            return f"{line}; at the end {self.at_end}: {why}"
+        if not spans or spans[0].scans == len(self.stamps):
+            return line
         if self.reasons[-1] == NONE:
             return line + "; TRACKING at the end"
         return line + f"; at the end {spans[-1].state}: {spans[-1].description}"
+
+    def _course(self, spans: Sequence[Span]) -> str:
+        """Return the states of all scans, and the longest span in words."""
+        if not spans:
+            return "TRACKING throughout"
+        if spans[0].scans == len(self.stamps):
+            return f"{spans[0].state} throughout: {spans[0].description}"
+        counts = self.counts()
+        line = ", ".join(f"{state} at {counts[state]} scans" for state in STATES if counts[state])
+        k = max(range(len(spans)), key=lambda k: (spans[k].reason >= ELSEWHERE, spans[k].scans))
+        first = list(self._stretches())[k][0]
+        begin = float(np.fmax(np.diff(self.stamps[: first + 1]), 0.0).sum())  # clocks may step back
+        return f"{line}; the longest begins {begin:.1f} s after the start: {spans[k].description}"
 
 
 def silent_time(ahead: Increment) -> float:

@@ -253,6 +253,14 @@ def test_the_state_at_the_end_is_not_better_without_scans():
     assert "corridor for 1.0 m; at the end DEGRADED: no scan in the last 9 s" in health.summary
     reasons[-1] = ELSEWHERE
     assert "; at the end LOST: no scan in the last 9 s" in health.summary
+    assert health.summary.count("at the end") == 1
+
+
+def test_the_longest_span_begins_after_the_time_before_a_clock_stepped_back():
+    stamps = np.array([500.0, 501.0, 502.0, 100.0, 101.0, 102.0])
+    reasons = np.array([NONE, NONE, NONE, NONE, OPEN, OPEN], np.int8)
+    assert "the longest begins 3.0 s after the start" in Health(stamps, reasons, np.ones(6)).summary
+    assert "begins 0.0 s after" in Health(stamps, reasons[::-1], np.ones(6)).summary
 
 
 def test_time_without_scans_counts_if_the_position_has_become_uncertain():

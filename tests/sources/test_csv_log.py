@@ -127,6 +127,15 @@ def test_units_in_names(tmp_path: Path) -> None:
     np.testing.assert_array_equal(scan.angles, [-0.5, 0.0, 0.5])
 
 
+@pytest.mark.parametrize(
+    "beam", ["r{} [mm]", "r{} (mm)", "r_{}_mm", "ranges[{}] [mm]", "range_mm_{}"]
+)
+def test_units_of_ranges_before_and_after_their_numbers(tmp_path: Path, beam: str) -> None:
+    header = ",".join(["t", *(beam.format(k) for k in (8, 9, 10))])
+    (scan,) = messages(tmp_path, header, "1.5,1000,2000,", angle_min=-0.5, angle_step=0.5)
+    np.testing.assert_array_equal(scan.ranges, [1.0, 2.0, math.nan])  # type: ignore[attr-defined]
+
+
 def test_columns_given_by_the_user(tmp_path: Path) -> None:
     columns = {"stamp": "secs", "x": "px", "y": "py", "theta": "dir*0.5", "ranges": "d0:d2*0.001"}
     rows = ["secs,px,py,dir,note,d0,d1,d2", "1.5,1,2,3,hello,1000,2000,3000"]

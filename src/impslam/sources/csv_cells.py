@@ -47,12 +47,14 @@ def find_beams(header: Sequence[str]) -> CsvCells | None:
 
 
 def _stem(name: str) -> str | None:
+    """Return the name of a numbered column without its number, and with its unit at the end."""
     if _number(name) is not None:
         return ""
-    found = re.fullmatch(r"(.*[^\d])\d+\]?", name)
+    found = re.fullmatch(r"(.*[^\d])\d+\]?(?:(?:_|\s*[\[(])(m|cm|mm)[\])]?)?", name)
     if found is None or is_extra(found[1]):
         return None
-    return found[1]
+    stem, unit = found.groups()
+    return f"{stem.strip('_[')}_{unit}" if unit else stem
 
 
 def is_extra(name: str) -> bool:

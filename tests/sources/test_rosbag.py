@@ -342,6 +342,21 @@ def test_an_increment_of_0_is_computed_and_impossible_angles_are_refused(
         assert said in source.problems.examples["malformed scan message"]
 
 
+@pytest.mark.parametrize("count", [2, 12])
+@pytest.mark.parametrize("name", ["angle_increment", "time_increment"])
+def test_an_increment_of_nan_is_unknown(tmp_path: Path, name: str, count: int) -> None:
+    scans = [scan(ROS2, 1.5 + k) for k in range(count)]
+    for one in scans:
+        one.angle_increment, one.angle_max, one.time_increment = 1.0, 1.0, 0.0
+        setattr(one, name, math.nan)
+    found, source = read(bag(tmp_path / "nan", *(("/scan", one) for one in scans)))
+    assert len(found) == count
+    for one in found:
+        np.testing.assert_array_equal(one.angles, [-1.0, 0.0, 1.0])  # type: ignore[attr-defined]
+        np.testing.assert_array_equal(one.time_offsets, np.zeros(3))  # type: ignore[attr-defined]
+    assert source.problems.counts == {f"no {name.replace('_', ' ')}": count}
+
+
 def test_progress_runs_to_the_total(tmp_path: Path) -> None:
     path = write_mcap(tmp_path / "a.mcap")
     with recognise(path)(path=path) as source:

@@ -199,7 +199,14 @@ def show_facts(facts: Mapping[str, str]) -> None:
 
 
 HARMLESS = frozenset(
-    {"gap", "backward stamp", "repeated stamp", "odometry off", "no angle increment"}
+    {
+        "gap",
+        "backward stamp",
+        "repeated stamp",
+        "odometry off",
+        "no angle increment",
+        "no time increment",
+    }
 )
 """Kinds of problems with a log that do not harm a run."""
 

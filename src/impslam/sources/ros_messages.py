@@ -60,9 +60,9 @@ def _first_echoes(beams: Sequence[RosMessage]) -> Array:
 
 
 def angle_step(message: RosMessage) -> float:
-    """Return the angle from beam to beam, rad; of drivers that leave it at 0, from the outermost beams."""
+    """Return the angle from beam to beam, rad; if it is 0 or NaN, from the outermost beams."""
     step, gaps = float(message.angle_increment), len(message.ranges) - 1
-    if step or gaps < 1:
+    if not (step == 0.0 or math.isnan(step)) or gaps < 1:
         return step
     return (float(message.angle_max) - float(message.angle_min)) / gaps
 
@@ -70,6 +70,7 @@ def angle_step(message: RosMessage) -> float:
 def _scan(message: RosMessage, stamp: float, ranges: Any, intensities: Any) -> LaserScan:
     start, step = float(message.angle_min), angle_step(message)
     n, wait = len(ranges), float(message.time_increment)
+    wait = 0.0 if math.isnan(wait) else wait
     check_finite("angle_min, angle_increment or time_increment", start, step, wait)
     if n == 0:
         raise MessageError("the scan has no ranges")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -153,15 +154,26 @@ class RowReader:
         if use == "wheels":
             return self._wheels(topic, message, stamp)
         found = READERS[use](message, stamp)
-        if use == "scan" and ros.angle_step(message) != message.angle_increment:
-            self._problems.add(
-                "no angle increment",
-                f"{self._path}: {topic}: the angle from beam to beam is 0; it is computed from angle_min "
-                "and angle_max",
-            )
+        if use == "scan":
+            self._check_increments(message, topic)
         if use == "odometry":
             self._check_norm(ros.quaternion_norm(message), topic, stamp)
         return found
+
+    def _check_increments(self, message: RosMessage, topic: str) -> None:
+        """Report a scan whose angle or time from beam to beam is unknown."""
+        if ros.angle_step(message) != message.angle_increment:
+            self._problems.add(
+                "no angle increment",
+                f"{self._path}: {topic}: the angle from beam to beam is {message.angle_increment:g}; it "
+                "is computed from angle_min and angle_max",
+            )
+        if math.isnan(message.time_increment):
+            self._problems.add(
+                "no time increment",
+                f"{self._path}: {topic}: the time from beam to beam is NaN; it counts as 0: give the "
+                "duration of a sweep with --set sensors.lidar.sweep_time, or correct the driver",
+            )
 
     def _check_norm(self, norm: float, topic: str, stamp: float) -> None:
         """Report a quaternion of odometry that is not normalised; its direction is used."""

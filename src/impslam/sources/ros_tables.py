@@ -137,7 +137,8 @@ def scans(rows: Rows, joints: ros.Joints | None) -> tuple[Values, Mask]:
     """Return the columns of `sensor_msgs/LaserScan`, and which rows are valid and of one layout."""
     del joints
     good = rows.shared("angle_min", "angle_increment", "time_increment", "range_min", "range_max")
-    good &= rows["angle_increment"] != 0.0  # the reader of single messages reports them
+    # the reader of single messages reports them
+    good &= (np.abs(rows["angle_increment"]) > 0.0) & ~np.isnan(rows["time_increment"])
     values = {"ranges": rows.wide("ranges")}
     intensities = rows.wide("intensities")
     if intensities.shape == values["ranges"].shape:

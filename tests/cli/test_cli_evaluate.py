@@ -44,6 +44,16 @@ def test_against_truth(imp, tmp_path, monkeypatch) -> None:
     assert row(said.out, "off.tum")[:4] == ["50", "0.5000", "0.0000", "0.0000"]
 
 
+def test_the_poses_without_truth_are_counted(imp, tmp_path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    path(tmp_path, "run.tum")
+    write_tum(tmp_path / "truth.tum", read_tum(path(tmp_path, "whole.tum"))[:20])
+    said = imp("evaluate", "run.tum", "--truth", "truth.tum")
+    assert row(said.out, "run.tum")[0] == "20"
+    lacking = "imp: warning: run.tum: the truth lacks 30 of 50 poses, which are not scored\n"
+    assert said.err == lacking
+
+
 def test_against_relations(imp, tmp_path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     path(tmp_path, "line.tum")

@@ -154,6 +154,12 @@ def _show(scores: Mapping[str, Scores], references: References) -> None:
         show_paths(paths, options.align, options.delta)
         if others := [name for name in scores if name not in paths]:
             log.warning("no ground truth, so no errors of the path: %s", ", ".join(others))
+        for name, score in paths.items():
+            total = len(scores[name].run.path)
+            if lacking := total - len(score.pairs.stamps):
+                log.warning(
+                    "%s: the truth lacks %d of %d poses, which are not scored", name, lacking, total
+                )
     if kinds:
         show_landmarks(kinds, options.gate, _alignment_note(bool(paths), options.align))
     if relations:

@@ -8,14 +8,13 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from collections.abc import Iterator, Sequence
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from pydantic import PrivateAttr
 
 from impslam.columns import Motions, Sweeps
 from impslam.component import Component, parameter
-from impslam.errors import ConfigError
 from impslam.geometry.algebra import rotate_covariance
 from impslam.geometry.chain import advance, advance_pose
 from impslam.geometry.kernels import kernel
@@ -34,6 +33,7 @@ from impslam.noise import SystematicErrors
 from impslam.parameters import Parameters
 from impslam.sources.base import Problems
 from impslam.tracking.screening import Screening
+from impslam.tracking.steps import Steps, checked
 from impslam.tracking.sweep_twist import unknown, with_stamps, writable
 from impslam.types import Array, ErrorEstimate, Increment, Mask, SystematicPart
 
@@ -89,70 +89,6 @@ class Gate(NamedTuple):
 
     limits: Array
     travelled: Array
-
-
-class Steps(NamedTuple):
-    """Results for m sweeps.
-
-    Attributes
-    ----------
-    d_pose, covariance : (m, 3), (m, 3, 3) motion since the newest reference before each; the covariances
-        of successive motions add up
-    error : (m, 3, 3) covariance of the match itself, which replaces that of the reference before and does
-        not add up, in the axes of that reference; of references only
-    moved : (m, 3) motion since the sweep before each
-    reference : (m,) whether the next motions start from this sweep: it was matched, or has too few
-        points to match
-    is_keyframe : (m,) whether it is a keyframe
-    located : (m,) whether the scan determines the position along both axes
-    reasons, amounts : (m,) why its pose cannot be trusted, and the distance or share that goes with it;
-        see `impslam.health`
-    reach : (m, 2) m, rad around the matched pose in which the robot may be; see `Keyframe`
-    """
-
-    d_pose: Array
-    covariance: Array
-    error: Array
-    moved: Array
-    reference: Mask
-    is_keyframe: Mask
-    located: Mask
-    reasons: Reasons
-    amounts: Array
-    reach: Array
-
-
-_COLUMNS: dict[str, tuple[str, tuple[int, ...]]] = {
-    "d_pose": ("f", (3,)), "covariance": ("f", (3, 3)), "error": ("f", (3, 3)), "moved": ("f", (3,)),
-    "reference": ("b", ()), "is_keyframe": ("b", ()), "located": ("b", ()),
-    "reasons": ("iu", ()), "amounts": ("f", ()), "reach": ("f", (2,)),
-}  # fmt: skip
-"""Kinds of `dtype`, and shape of a row, of each column of `Steps`."""
-
-
-def _checked(returned: Any, m: int, name: str) -> Steps:
-    """Return what a tracker returned for m sweeps, checked, because it may be a plug-in.
-
-    Raises
-    ------
-    ConfigError
-        If these are no columns of m rows: kernels would read beyond their ends.
-    """
-    wrong = "" if isinstance(returned, Steps) else f"{type(returned).__name__} in place of Steps"
-    for column, (kinds, row) in _COLUMNS.items():
-        array = getattr(returned, column, None)
-        if wrong:
-            break
-        if not isinstance(array, np.ndarray) or array.dtype.kind not in kinds:
-            wrong = f"{column} that are no array of the right type"
-        elif array.shape != (m, *row):
-            wrong = f"{column} of shape {array.shape} instead of {(m, *row)}"
-    if wrong:
-        raise ConfigError(
-            f"tracker {name!r} returned {wrong}; correct it, the contract is Steps in impslam.tracking.base"
-        )
-    steps: Steps = returned
-    return steps
 
 
 class _Since(NamedTuple):
@@ -257,7 +193,7 @@ class Tracker(Component):
         sweeps, wrong, amounts, unmeasured = self._screening.screen(motions, sweeps, self._problems)
         sweeps = writable(sweeps) if self.matches_scans else sweeps
         returned = self.steps(motions, sweeps, Gate(self._limits, travelled))
-        steps = _checked(returned, len(sweeps), self.name)
+        steps = checked(returned, len(sweeps), self.name)
         steps.reasons[_contradicted(steps.reasons) & unmeasured] = UNMEASURED
         steps.reasons[_contradicted(steps.reasons) & unknown(motions.covariance)] = JUMPED
         worse = wrong > steps.reasons

@@ -11,11 +11,11 @@ import math
 
 from impslam.geometry.kernels import kernel
 from impslam.health import CARRIED, CHANGED
-from impslam.tracking.base import Steps
 from impslam.tracking.beams import BeamColumns
 from impslam.tracking.jump import doubted_share, find_change, forget
 from impslam.tracking.matching_state import State
 from impslam.tracking.reference_scan import ranges_at_once
+from impslam.tracking.steps import Steps
 
 MIN_SHARE, MIN_EXTENT = 0.05, 1.5
 """Share of the beams, and m of extent of their points, that together prove a change: more than a door that

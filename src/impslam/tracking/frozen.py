@@ -11,10 +11,10 @@ import math
 
 from impslam.geometry.kernels import kernel
 from impslam.health import PUSHED
-from impslam.tracking.base import Steps
 from impslam.tracking.match_faults import LONG_WINDOW, MIN_MOTION, STATIONARY_SHARE
 from impslam.tracking.match_information import add_along
 from impslam.tracking.matching_state import SECONDS, Settings, State
+from impslam.tracking.steps import Steps
 from impslam.types import Array
 
 MAX_MOTION = 0.005, 0.01

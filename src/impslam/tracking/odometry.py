@@ -8,12 +8,13 @@ from pydantic import PrivateAttr
 from impslam.columns import Motions, Sweeps
 from impslam.component import register
 from impslam.health import CARRIED, CHANGED, MISTIMED
-from impslam.tracking.base import Gate, Steps, Tracker, mark_keyframes
+from impslam.tracking.base import Gate, Tracker, mark_keyframes
 from impslam.tracking.beams import beam_columns
 from impslam.tracking.jump import JumpCheck
 from impslam.tracking.odometry_check import OdometryCheck
 from impslam.tracking.per_lidar import PerLidar
 from impslam.tracking.stall import StallState, initial_stall_state, undo_stalled_motion
+from impslam.tracking.steps import Steps
 from impslam.tracking.traction import Traction
 
 

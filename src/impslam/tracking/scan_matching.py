@@ -18,7 +18,7 @@ from impslam.geometry.chain import advance
 from impslam.geometry.kernels import kernel
 from impslam.health import ELSEWHERE, UNEXPLAINED
 from impslam.surfaces.features import Features
-from impslam.tracking.base import Gate, Steps, add_travel, reaches_limit
+from impslam.tracking.base import Gate, add_travel, reaches_limit
 from impslam.tracking.beams import BeamColumns
 from impslam.tracking.carried import begin_place, notice_carried
 from impslam.tracking.contradictions import (
@@ -75,6 +75,7 @@ from impslam.tracking.pose_search import USUAL_SHARE, find_pose
 from impslam.tracking.reference_scan import LastScan
 from impslam.tracking.stall import IS_STALLED
 from impslam.tracking.stalled import predict_stalled, report_stalled, set_reference_pose
+from impslam.tracking.steps import Steps
 from impslam.tracking.submaps import confirmed_surfels, extend, is_empty
 
 MAX_NEW_VIEW = 0.14

@@ -11,7 +11,7 @@ from impslam.columns import Motions, Sweeps
 from impslam.component import parameter, register
 from impslam.noise import MotionNoise
 from impslam.surfaces.surface_map import Alignment, no_evidence
-from impslam.tracking.base import Gate, Steps, Tracker
+from impslam.tracking.base import Gate, Tracker
 from impslam.tracking.beams import beam_columns
 from impslam.tracking.intervals import no_intervals
 from impslam.tracking.jump import no_past
@@ -27,6 +27,7 @@ from impslam.tracking.per_lidar import PerLidar
 from impslam.tracking.pose_search import USUAL_RMS, USUAL_SHARE
 from impslam.tracking.scan_matching import follow
 from impslam.tracking.stall import initial_stall_state
+from impslam.tracking.steps import Steps
 from impslam.tracking.submaps import empty_submaps
 
 

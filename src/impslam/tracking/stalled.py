@@ -9,12 +9,12 @@ from __future__ import annotations
 
 from impslam.geometry.kernels import kernel
 from impslam.health import STALLED
-from impslam.tracking.base import Steps
 from impslam.tracking.beams import BeamColumns
 from impslam.tracking.learned_odometry import variances
 from impslam.tracking.matching_state import State
 from impslam.tracking.reference_scan import MIN_MOTION
 from impslam.tracking.stall import IS_STALLED, POSE_IS_DUE, STALL_SIGMA, notice_stall
+from impslam.tracking.steps import Steps
 
 
 @kernel

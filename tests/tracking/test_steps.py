@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from impslam.errors import ConfigError
-from impslam.tracking.base import Steps, _checked
+from impslam.tracking.steps import Steps, checked
 
 M = 4
 
@@ -21,7 +21,7 @@ def steps(**other):
 
 def test_columns_of_the_right_shapes_are_used_as_they_are():
     given = steps()
-    assert _checked(given, M, "mine") is given
+    assert checked(given, M, "mine") is given
 
 
 @pytest.mark.parametrize(
@@ -36,4 +36,4 @@ def test_columns_of_the_right_shapes_are_used_as_they_are():
 )
 def test_others_are_refused_with_the_name_of_the_tracker(returned, wrong):
     with pytest.raises(ConfigError, match=f"tracker 'mine' returned {wrong}; correct it"):
-        _checked(returned, M, "mine")
+        checked(returned, M, "mine")

@@ -57,6 +57,15 @@ def test_choice_and_odds_equal_enumeration(seed, least):
     assert {(int(a[p]), int(k[p])) for p in unambiguous_pairs(a, k, cost[a, k], least)} == expected
 
 
+def test_a_weak_pair_of_a_wall_is_not_taken_for_the_sake_of_a_weaker_one():
+    """Two pieces of one wall are no alternatives to each other, but each may be of a new wall."""
+    rows, columns = np.array([0, 1]), np.array([0, 0])
+    for strong, expected in [(-1.0, []), (-5.0, [0])]:
+        costs = np.array([strong, -0.5])
+        assert unambiguous_pairs(rows[:1], columns[:1], costs[:1], 4.6, True) == expected
+        assert unambiguous_pairs(rows, columns, costs, 4.6, True) == expected
+
+
 def test_collinear_walls_five_metres_apart_stay_two():
     belief = mapped([wall(ORIGIN, [[2, -4], [2, -2]])])
     choice = belief.associate((wall(ORIGIN, [[2, 3], [2, 5]]),), Mahalanobis())

@@ -47,8 +47,8 @@ def unambiguous_pairs(
     Each row and column is used at most once; pairs that are not listed are not allowed. Costs are relative
     to leaving a row unassigned. A pair is unambiguous if the least total cost without it is greater by
     `least`. With `in_pieces`, several rows may be observations of one column, so another row is no
-    alternative; of two columns the cheaper one is chosen: walls are side by side wherever a door is set
-    back, and using neither would leave a corridor without information.
+    alternative; of two columns the cheaper one is chosen if it costs at most -`least`: walls are side by
+    side wherever a door is set back, and using neither would leave a corridor without information.
     """
     a, k = rows.tolist(), columns.tolist()
     if len(set(a)) == len(set(k)) == len(a):  # no conflicts
@@ -67,7 +67,7 @@ def unambiguous_pairs(
             column = candidates[p][1]
             rivals = [q for q in pairs if q != p and not (in_pieces and candidates[q][1] == column)]
             others = _solve({q: candidates[q] for q in rivals}, cost)
-            if sum(cost[q] for q in others) - total >= margin:
+            if cost[p] <= -least and sum(cost[q] for q in others) - total >= margin:
                 chosen.append(p)
     return sorted(chosen)
 

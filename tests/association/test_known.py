@@ -40,3 +40,8 @@ def test_a_gate_rejects_a_misread_label_that_is_not_new():
     choice = belief.associate(seen, Known(gate=0.999999))
     assert pairs(choice) == {0: 0}
     assert choice.new == (2,)
+
+
+def test_no_label_is_new_while_the_map_has_none_of_the_kind():
+    choice = mapped([]).associate((point(ORIGIN, (1, 0)),), Known())
+    assert choice.new == (0,)

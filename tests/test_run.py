@@ -164,9 +164,10 @@ def test_a_scan_waits_for_the_odometry_after_it(bare, tmp_path):
     assert len(kept.results) == len(scans(bare))
 
 
-def test_a_scan_does_not_wait_for_ever(bare):
+def test_a_scan_of_a_live_robot_does_not_wait_for_ever(bare):
     kept, scan = Kept(), scans(bare)[0]
     course = Run(load("imp"), [kept])
+    course.robot.wait_for_rows_only()
     feed(course, [scan])
     waited = 0
     while not kept.results:

@@ -168,10 +168,20 @@ def test_sweeps_in_a_gap_of_odometry_get_no_share_of_the_motion_across_it():
     assert not got.motions.d_pose[1:].any()
 
 
+def test_odometry_that_is_behind_all_the_time_is_of_another_clock():
+    """At 10 Hz and 2 s behind: after 25 rows, a sweep gets the motion so far, as before any clock."""
+    synchroniser, stamps = fed(np.linspace(-2.0, -1.0, 11)), -1.0 + 0.1 * np.arange(100)
+    places = 11 + 2 * np.arange(99)
+    waiting = sweeps(1.05 + 0.1 * np.arange(99), order=10 + 2 * np.arange(99))
+    got = synchroniser.feed(places, moving(stamps), waiting, 208)
+    assert len(got.twists) == 99 - MAX_WAIT // 2
+    assert got.motions.duration[1:].max() < 0.11
+
+
 @pytest.mark.parametrize(("step", "waits"), [(0.1, 300), (10.0, 10)])
 def test_late_odometry_is_awaited_for_some_time_of_later_sweeps(step, waits):
     """A gap between sweeps does not count as waiting."""
-    synchroniser = fed([0.0, 0.1])
+    synchroniser = fed([0.0, 0.9])
     waiting = sweeps(1.0 + step * np.arange(400), order=1 + np.arange(400))
     got = synchroniser.feed(*NOTHING, waiting, 400)
     assert len(got.twists) == min(400 - waits, 400 - MAX_WAIT)

@@ -164,7 +164,7 @@ def test_scores_add_up():
     both = one + two
     assert both.true_positives[0] == pytest.approx(5 / 6)
     assert both.rate("false")[0] == 1.5
-    assert both.rate("false")[1] == pytest.approx(1.5 / math.sqrt(2))
+    assert both.rate("false")[1] == pytest.approx(np.std([3, 0], ddof=1) / math.sqrt(2))
     assert both.metrics()["ratio_0"].value == pytest.approx(math.sqrt(1 / 3))
     assert both.metrics()["ratio_1"].value == pytest.approx(math.sqrt(4 / 3))
     assert both.metrics()["radius_ratio"].value == pytest.approx(0.5)

@@ -2,11 +2,11 @@
 
 Motions are kept until a sweep needs them. A sweep waits until odometry covers its end, or until
 odometry has the same stamp (both were then recorded together, and all motion belongs before the sweep),
-but for at most `MAX_WAIT` rows of any stream. In a recorded log, it also waits for `MAX_LATE` s of later
-sweeps, unless odometry resumes after a gap in its stamps: then it was missing, not late. If the stamp of a
-sweep is later than its end, it also waits for odometry to reach the stamp, until none has come for
-`MAX_WAIT` rows. It gets the motion from the middle of the previous sweep to its own middle. A motion that
-spans the middle is split there, at constant twist.
+but for at most `MAX_WAIT` rows of any stream. In a recorded log whose odometry has been on time before, it
+also waits for `MAX_LATE` s of later sweeps, unless odometry resumes after a gap in its stamps: then it was
+missing, not late. If the stamp of a sweep is later than its end, it also waits for odometry to reach the
+stamp, until none has come for `MAX_WAIT` rows. It gets the motion from the middle of the previous sweep to
+its own middle. A motion that spans the middle is split there, at constant twist.
 
 Where stamps are unusable (see `clocks`), a sweep gets all odometry before it in the log, and does not wait.
 
@@ -24,12 +24,15 @@ from impslam.geometry.kernels import kernel
 from impslam.noise import MAX_GAP
 from impslam.odometry.timeline import (
     ARRIVED,
+    BEHIND,
     COVARIANCE,
     DURATION,
     LAST,
     NEWEST,
     POSE,
     SQUARE,
+    SWEEP,
+    UNAWAITED,
     WIDTH,
     advance,
     append,
@@ -44,6 +47,9 @@ from impslam.types import Array, Increment, Ints, Mask
 
 MAX_WAIT = 25
 """Rows of the log after which a sweep waits no longer for odometry and is used with the motion so far."""
+ON_TIME = 0.2
+"""s that odometry on time may be behind a sweep that comes. If it always is farther behind, two computers
+may have different clocks, and by their stamps, sweeps would get the motion of another time."""
 MAX_LATE = 30.0
 """s by which odometry may come later in a log than sweeps of the same time: recorders store messages as
 they arrive, and radio links deliver them in blocks. A live robot does not wait for it."""
@@ -195,16 +201,15 @@ def _use(state: _State, begin: float, end: float, stamp: float, by_order: bool, 
 
 
 @kernel
-def _ready(
-    marks: Array, begin: float, end: float, stamp: float, order: int, last_row: int, late: bool
-) -> bool:
-    """Return whether a sweep can be used now; with `late`, odometry is no longer awaited."""
+def _ready(marks: Array, begin: float, end: float, stamp: float, order: int, last_row: int) -> bool:
+    """Return whether a sweep can be used now."""
     together = begin == end and stamp == marks[LAST]
     if together or marks[NEWEST] >= max(end, stamp):
         return True
     is_covered = marks[NEWEST] >= end  # but its stamp is not
     since = max(float(order), marks[ARRIVED]) if is_covered else float(order)
-    return last_row - since >= MAX_WAIT and (is_covered or late)
+    may_come = not is_covered and order > marks[UNAWAITED]
+    return last_row - since >= MAX_WAIT and not may_come
 
 
 @kernel
@@ -222,22 +227,13 @@ def _append_motion(state: _State, odometry: _Odometry, k: int) -> None:
 
 @kernel
 def _release(
-    state: _State,
-    sweeps: _Sweeps,
-    used: int,
-    arrived: int,
-    last_row: int,
-    missing: int,
-    out: Array,
+    state: _State, sweeps: _Sweeps, used: int, arrived: int, last_row: int, out: Array
 ) -> int:
-    """Use the sweeps from index `used` on that are ready; return the new number of used sweeps.
-
-    Those before index `missing` do not wait for late odometry.
-    """
+    """Use the sweeps from index `used` on that are ready; return the new number of used sweeps."""
     order, begins, ends, stamps, usable, by_order = sweeps
     while used < arrived:
-        begin, end, stamp, late = begins[used], ends[used], stamps[used], used < missing
-        ready = by_order[used] or _ready(state[2], begin, end, stamp, order[used], last_row, late)
+        begin, end, stamp = begins[used], ends[used], stamps[used]
+        ready = by_order[used] or _ready(state[2], begin, end, stamp, order[used], last_row)
         if not ready:
             break
         if usable[used]:
@@ -247,12 +243,23 @@ def _release(
 
 
 @kernel
+def _arrive(marks: Array, sweeps: _Sweeps, waited: Array, k: int, max_late: float) -> None:
+    """Update the marks at the arrival of sweep k; `waited` as in `_waiting_time`."""
+    order, end, is_by_order = sweeps[0], sweeps[2][k], sweeps[5][k]
+    if order[k] > marks[SWEEP]:  # else it has waited in an earlier batch
+        marks[SWEEP] = order[k]
+        marks[BEHIND] = min(marks[BEHIND], max(end - marks[NEWEST], 0.0))
+    if is_by_order or marks[BEHIND] > ON_TIME:  # the stamps of those before it were wrong, too
+        marks[UNAWAITED] = max(marks[UNAWAITED], order[k])
+    for i in range(k, -1, -1):
+        if waited[k] - waited[i] >= max_late:
+            marks[UNAWAITED] = max(marks[UNAWAITED], order[i])
+            break
+
+
+@kernel
 def _synchronise(
-    state: _State,
-    odometry: _Odometry,
-    sweeps: _Sweeps,
-    wait: tuple[int, float],
-    out: Array,
+    state: _State, odometry: _Odometry, sweeps: _Sweeps, wait: tuple[int, float], out: Array
 ) -> int:
     """Process odometry rows and sweeps in the order of the log; return the number of used sweeps.
 
@@ -260,23 +267,26 @@ def _synchronise(
     is used before the later one. `wait` are the newest row of any stream, and the longest wait for late
     odometry, s.
     """
-    odometry_order, sweep_order = odometry[0], sweeps[0]
+    odometry_order, sweep_order, marks = odometry[0], sweeps[0], state[2]
     waited, durations, (last, max_late) = _waiting_time(sweeps[2]), odometry[4], wait
-    used, arrived, k, missing = 0, 0, 0, 0
+    used, arrived, k = 0, 0, 0
     while k < len(odometry_order) or arrived < len(sweep_order):
         now = odometry_order[k] if k < len(odometry_order) else END
         if arrived < len(sweep_order):
             now = min(now, sweep_order[arrived])
-        is_gap = k < len(odometry_order) and odometry_order[k] == now and durations[k] > MAX_GAP
-        used = _release(state, sweeps, used, arrived, now - 1, arrived if is_gap else missing, out)
-        if k < len(odometry_order) and odometry_order[k] == now:
+        has_row = k < len(odometry_order) and odometry_order[k] == now
+        if has_row and durations[k] > MAX_GAP:
+            marks[UNAWAITED] = marks[SWEEP]
+        used = _release(state, sweeps, used, arrived, now - 1, out)
+        if has_row:
             _append_motion(state, odometry, k)
             k += 1
         if arrived < len(sweep_order) and sweep_order[arrived] == now:
+            _arrive(marks, sweeps, waited, arrived, max_late)
             arrived += 1
-            while missing < arrived and waited[arrived - 1] - waited[missing] >= max_late:
-                missing += 1
-    return _release(state, sweeps, used, arrived, last, arrived if last == END else missing, out)
+    if last == END:
+        marks[UNAWAITED] = marks[SWEEP]
+    return _release(state, sweeps, used, arrived, last, out)
 
 
 @kernel

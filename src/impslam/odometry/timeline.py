@@ -25,15 +25,17 @@ WIDTH = 11
 STAMP, DURATION, POSE, THETA, COVARIANCE = 0, 1, 2, 4, 5
 SQUARE = COVARIANCE + np.array([0, 1, 2, 1, 3, 4, 2, 4, 5])  # the nine entries of the covariance
 # Marks: the newest time, the newest stamp, the newest motion that took time (duration, pose), and the
-# position in the log of the newest row.
-NEWEST, LAST, LATEST, ARRIVED = 0, 1, 2, 6
-MARKS = 7
+# position in the log of the newest row. Of the sweeps, the least time by which odometry was behind one when
+# it came; the position of the newest one, and of the newest that does not wait for late odometry.
+NEWEST, LAST, LATEST, ARRIVED, BEHIND, SWEEP, UNAWAITED = 0, 1, 2, 6, 7, 8, 9
+MARKS = 10
 
 
 def begin(max_motions: int) -> tuple[Array, Ints, Array]:
     """Return an empty ring of at most `max_motions` motions, its start and length (2,), and the marks."""
     marks = np.zeros(MARKS)
-    marks[[NEWEST, LAST, ARRIVED]] = -np.inf
+    marks[[NEWEST, LAST, ARRIVED, SWEEP, UNAWAITED]] = -np.inf
+    marks[BEHIND] = np.inf
     return np.empty((max_motions + 1, WIDTH)), np.zeros(2, np.int64), marks
 
 

@@ -183,7 +183,8 @@ class Lidar2D(Sensor):
         # Beams of a full turn may be given as 0 to 2 pi: compare directions, not numbers.
         field = self.angle_max - self.angle_min
         turned = np.mod(angles - self.angle_min, 2.0 * np.pi)
-        return np.asarray((field >= 2.0 * np.pi) | (turned <= np.mod(field, 2.0 * np.pi)))
+        width = np.mod(field, 2.0 * np.pi)
+        return np.asarray((field >= 2.0 * np.pi) | (turned <= width))
 
     def observe(self, sweeps: Sweeps, k: int, rng: np.random.Generator) -> tuple[Observation, ...]:
         """Return the extracted landmarks of a scan, with the time at which their beams were fired."""

@@ -139,11 +139,14 @@ def _defect(choice: Any, count: int, hypotheses: list[Hypotheses]) -> str:
     """Return what is wrong with an assignment of `count` observations, or ""."""
     if not isinstance(choice, Assignment):
         return f"{type(choice).__name__} in place of an Assignment"
+    pairs: set[tuple[int, int]] = set()
+    for one in hypotheses:
+        pairs.update(zip(one.observations.tolist(), one.landmarks.tolist(), strict=True))
     matches: tuple[Any, ...] = choice.matches
     for match in matches:
         if not isinstance(match, Match):
             return f"{type(match).__name__} in place of a Match"
-        if not any(_contains(one, match) for one in hypotheses):
+        if (match.observation, match.landmark) not in pairs:
             return (
                 f"a match of observation {match.observation} with landmark {match.landmark}, which is not "
                 "among the hypotheses"
@@ -152,12 +155,6 @@ def _defect(choice: Any, count: int, hypotheses: list[Hypotheses]) -> str:
         if not (isinstance(i, int | np.integer) and 0 <= i < count):
             return f"the index {i} of {count} observations"
     return ""
-
-
-def _contains(one: Hypotheses, match: Match) -> bool:
-    """Return whether a match is among the pairings."""
-    pairs = (one.observations == match.observation) & (one.landmarks == match.landmark)
-    return bool(pairs.any())
 
 
 def log_normal(distance2: float, S: Array) -> float:

@@ -86,19 +86,24 @@ def test_a_folder_of_several_pieces_is_one_log(room, tmp_path):
 PLUGINS = [StoragePlugin.MCAP, StoragePlugin.SQLITE3]
 
 
+def unclosed(room, recipe, folder):
+    """Return a folder with pieces 9 and 10 of a bag alone, the entries of the second, and the truth."""
+    entries, truth = drive(room, recipe)
+    middle = len(entries) // 2
+    (log := folder / "bag").mkdir()
+    for k, part in ((9, entries[:middle]), (10, entries[middle:])):
+        (file,) = write(folder / str(k), recipe, part).glob(f"{k}.*")
+        file.rename(log / f"bag_{file.name}")
+    return log, entries[middle:], truth
+
+
 @pytest.mark.parametrize("plugin", PLUGINS)
 @pytest.mark.parametrize("mode", [CompressionMode.FILE, CompressionMode.MESSAGE])
 def test_a_compressed_folder_without_metadata_is_one_log(room, tmp_path, plugin, mode):
     """Of a file whose compression was interrupted, the original is read."""
-    recipe = Recipe(plugin=plugin, compression=mode)
-    entries, truth = drive(room, recipe)
-    middle = len(entries) // 2
-    (log := tmp_path / "bag").mkdir()
-    for k, part in ((9, entries[:middle]), (10, entries[middle:])):
-        (file,) = write(tmp_path / str(k), recipe, part).glob(f"{k}.*")
-        file.rename(log / f"bag_{file.name}")
+    log, second, truth = unclosed(room, Recipe(plugin=plugin, compression=mode), tmp_path)
     if mode is CompressionMode.FILE:
-        rest = write(tmp_path / "rest", Recipe(plugin=plugin), entries[middle:])
+        rest = write(tmp_path / "rest", Recipe(plugin=plugin), second)
         (whole,) = rest.glob("rest.*")
         (packed,) = log.glob("bag_10.*")
         packed.write_bytes(packed.read_bytes()[:1000])
@@ -111,13 +116,7 @@ def test_a_compressed_folder_without_metadata_is_one_log(room, tmp_path, plugin,
 @pytest.mark.parametrize("plugin", PLUGINS)
 def test_a_folder_that_its_recorder_did_not_close_is_one_log(room, tmp_path, plugin):
     """Pieces 9 and 10, of which the name of the later one comes first by alphabet."""
-    recipe = Recipe(plugin=plugin)
-    entries, truth = drive(room, recipe)
-    middle = len(entries) // 2
-    (log := tmp_path / "bag").mkdir()
-    for k, part in ((9, entries[:middle]), (10, entries[middle:])):
-        (file,) = write(tmp_path / str(k), recipe, part).glob(f"{k}.*")
-        file.rename(log / f"bag_{file.name}")
+    log, _, truth = unclosed(room, Recipe(plugin=plugin), tmp_path)
     config, source = open_log(log)
     assert worst(map_log(config, source).path(), truth) < 0.01
     assert source.problems.counts == {"cut file": 1}

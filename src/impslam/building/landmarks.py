@@ -19,7 +19,7 @@ from impslam.building.fusion import Fused, fuse
 from impslam.building.groups import Rules
 from impslam.building.sightings import PlacedSightings, Sightings, SightingsLog, transform_to_map
 from impslam.errors import ConfigError
-from impslam.landmarks.base import LandmarkModel
+from impslam.landmarks.base import OF_THE_ROBOT, LandmarkModel
 from impslam.maps.grid import PlacedScans
 from impslam.types import Array, Ints, Landmark, Mask, Observation
 
@@ -210,10 +210,10 @@ def _reported(
 def _means(
     observations: list[Observation], rows: Ints, index: Ints, count: int
 ) -> list[dict[str, float]]:
-    """Return the mean attributes of each landmark, except "heading", which is in base_link."""
+    """Return the mean attributes of each landmark, except those that change as the robot turns."""
     sums: list[dict[str, list[float]]] = [{} for _ in range(count)]
     for row, g in zip(rows.tolist(), index.tolist(), strict=True):
         for name, value in observations[row].attributes.items():
-            if name != "heading":
+            if name not in OF_THE_ROBOT:
                 sums[g].setdefault(name, []).append(value)
     return [{name: float(np.mean(v)) for name, v in values.items()} for values in sums]

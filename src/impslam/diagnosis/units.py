@@ -83,9 +83,8 @@ def _poses(odometry: OdometryPoses, readings: Sequence[Columns]) -> Iterator[Fin
     seconds = np.fmax(times, usual)
     yield from _lengths(odometry, np.hypot(*poses[:, :2].T), seconds)
     headings = np.concatenate([np.asarray(c["pose"])[:, 2] for c in readings])
-    if (
-        usual and np.abs(headings).max() > math.tau
-    ):  # else they may be wrapped, and look fast at each turn
+    is_unwrapped = np.abs(headings).max() > math.tau  # wrapped ones look fast at each turn
+    if usual and is_unwrapped:
         yield from _turns(np.abs(poses[:, 2]), seconds)
 
 

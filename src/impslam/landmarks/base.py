@@ -25,7 +25,7 @@ from impslam.types import Array, Observation
 COURSE, COURSE_SIGMA = "course", "course sigma"
 """Attributes of a GPS fix: direction of travel in its frame and its standard deviation, rad."""
 
-_OF_THE_ROBOT = frozenset({"heading", COURSE, COURSE_SIGMA})
+OF_THE_ROBOT = frozenset({"heading", COURSE, COURSE_SIGMA})
 """Attributes of an observation that its landmark does not have: they change as the robot turns."""
 
 STEP = 1e-5  # m, rad: of central differences; their error is then some 1e-10 of the values
@@ -45,7 +45,7 @@ def average(means: dict[str, float], attributes: Mapping[str, float], share: flo
     Attributes that depend on the robot's heading, such as a corner's "heading" in base_link, are left out.
     """
     for name, value in attributes.items():
-        if name not in _OF_THE_ROBOT:
+        if name not in OF_THE_ROBOT:
             old = means.get(name, value)
             means[name] = old + share * (value - old)
 

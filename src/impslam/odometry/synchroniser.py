@@ -246,9 +246,10 @@ def _release(
 def _arrive(marks: Array, sweeps: _Sweeps, waited: Array, k: int, max_late: float) -> None:
     """Update the marks at the arrival of sweep k; `waited` as in `_waiting_time`."""
     order, end, is_by_order = sweeps[0], sweeps[2][k], sweeps[5][k]
-    if order[k] > marks[SWEEP]:  # else it has waited in an earlier batch
-        marks[SWEEP] = order[k]
-        marks[BEHIND] = min(marks[BEHIND], max(end - marks[NEWEST], 0.0))
+    if order[k] <= marks[SWEEP]:  # it has waited in an earlier batch
+        return
+    marks[SWEEP] = order[k]
+    marks[BEHIND] = min(marks[BEHIND], max(end - marks[NEWEST], 0.0))
     if is_by_order or marks[BEHIND] > ON_TIME:  # the stamps of those before it were wrong, too
         marks[UNAWAITED] = max(marks[UNAWAITED], order[k])
     for i in range(k, -1, -1):

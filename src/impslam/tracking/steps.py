@@ -58,19 +58,23 @@ def checked(returned: Any, m: int, name: str) -> Steps:
     ConfigError
         If these are no columns of m rows: kernels would read beyond their ends.
     """
-    wrong = "" if isinstance(returned, Steps) else f"{type(returned).__name__} in place of Steps"
-    for column, (kinds, row) in _COLUMNS.items():
-        array = getattr(returned, column, None)
-        if wrong:
-            break
-        if not isinstance(array, np.ndarray) or array.dtype.kind not in kinds:
-            wrong = f"{column} that are no array of the right type"
-        elif array.shape != (m, *row):
-            wrong = f"{column} of shape {array.shape} instead of {(m, *row)}"
-    if wrong:
+    if wrong := _defect(returned, m):
         raise ConfigError(
             f"tracker {name!r} returned {wrong}; correct it, the contract is Steps in "
             "impslam.tracking.steps"
         )
     steps: Steps = returned
     return steps
+
+
+def _defect(returned: Any, m: int) -> str:
+    """Return what is wrong with the results for m sweeps, or ""."""
+    if not isinstance(returned, Steps):
+        return f"{type(returned).__name__} in place of Steps"
+    for column, (kinds, row) in _COLUMNS.items():
+        array: Any = getattr(returned, column)
+        if not isinstance(array, np.ndarray) or array.dtype.kind not in kinds:
+            return f"{column} that are no array of the right type"
+        if array.shape != (m, *row):
+            return f"{column} of shape {array.shape} instead of {(m, *row)}"
+    return ""

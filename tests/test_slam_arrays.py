@@ -333,6 +333,11 @@ def test_limits_that_no_range_can_keep_are_refused(low, high):
         impslam.Slam().add_scans(0.0, RANGES[0], ANGLES, range_min=low, range_max=high)
 
 
+def test_angles_in_degrees_are_refused():
+    with pytest.raises(ConfigError, match=r"angles: they span 57 turns; give them in rad"):
+        impslam.Slam().add_scans(0.0, RANGES[0], np.degrees(ANGLES))
+
+
 def test_masked_ranges_are_no_echo_and_other_masked_values_are_refused(tmp_path):
     hidden = np.ma.masked_array(RANGES, mask=RANGES > 2.2)
     maps = []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -19,6 +20,7 @@ from impslam.observers.base import Observer, Outcome, checked_observers
 from impslam.odometry.synchroniser import MAX_WAIT
 from impslam.open_log import finished, for_continuing
 from impslam.run import Run
+from impslam.sources.text import TURNS_LIMIT
 from impslam.tracking.screening import SILENT
 from impslam.types import (
     Array,
@@ -134,10 +136,15 @@ class Slam:
         ShapeError
             If the shapes do not match, or a value is not a number.
         ConfigError
-            If no sensor of the config reads scans of this stream, or no range is within the limits.
+            If no sensor of the config reads scans of this stream, no range is within the limits, or the
+            angles are in degrees.
         """
         beams = finite("angles", angles, None)
         n = len(beams)
+        if n and (turns := np.ptp(beams) / math.tau) > TURNS_LIMIT:
+            raise ConfigError(
+                f"angles: they span {turns:.0f} turns; give them in rad, not in degrees"
+            )
         times = np.zeros(n) if time_offsets is None else finite("time_offsets", time_offsets, n)
         layout: dict[str, Any] = {"angles": beams, "time_offsets": times, "intensities": None}
         for name, limit in (("range_min", range_min), ("range_max", range_max)):

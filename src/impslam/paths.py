@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from itertools import count
 from pathlib import Path
@@ -22,6 +22,18 @@ def numbered(folder: Path, stem: str, suffix: str = "") -> Iterator[Path]:
     yield folder / f"{stem}{suffix}"
     for number in count(2):
         yield folder / f"{stem}-{number}{suffix}"
+
+
+def short_names(paths: Sequence[Path]) -> list[str]:
+    """Return the paths without the leading and trailing parts that all have in common."""
+    parts = [list(path.parts) for path in paths]
+    while len(paths) > 1 and len({tuple(p[:1]) for p in parts}) == 1 and min(map(len, parts)) > 1:
+        parts = [p[1:] for p in parts]
+    while len(paths) > 1 and len({tuple(p[-1:]) for p in parts}) == 1 and min(map(len, parts)) > 1:
+        parts = [p[:-1] for p in parts]
+    if len(paths) == 1:
+        parts = [p[-1:] or ["."] for p in parts]
+    return [str(Path(*p)) for p in parts]
 
 
 def make_folder(folder: Path, stem: str) -> Path:

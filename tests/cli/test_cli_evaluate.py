@@ -12,11 +12,11 @@ from tests.estimators.drives import LAP, RING, way
 from tests.evaluation.test_quality import keyframes, made
 
 from impslam.cli import console
-from impslam.cli.comparison import short_names
 from impslam.cli.comparison_table import Cell, show
 from impslam.evaluation.tum import PATH_COLUMNS, read_tum, write_tum
 from impslam.geometry.se2 import compose
 from impslam.maps.landmark_table import write_landmarks
+from impslam.paths import short_names
 from impslam.types import Landmark
 
 

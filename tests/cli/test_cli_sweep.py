@@ -95,6 +95,7 @@ def test_ctrl_c_keeps_what_is_done(world, tmp_path):
         (("room", "--jobs", "0"), "--jobs 0: must be at least 1"),
         (("room", "--set", "filter.knd=ekf"), "knd is not a parameter"),
         (("room", "arena", "--truth", "t.tum"), "--truth t.tum: does not name its log"),
+        (("room", "--set", "seed=1,2"), "seed: each run has its own one"),
         (("room", "--truth", "hall=t.tum"), "hall is not one of the logs room"),
         (("room", "--truth", "t.tum"), "drives in a world have their own truth; leave out t.tum"),
         (("room", "--relations", "r.txt"), "leave out r.txt"),

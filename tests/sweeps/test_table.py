@@ -15,7 +15,8 @@ from impslam.sweeps.table import CSV, PARQUET, write_table
 
 def row(seed, error="", **more):
     who = {"log": "a", "config": "", "settings": {"x.y": 0.5}, "seed": seed}
-    return {**who, "log_sha256": "1", "config_sha256": "2", "error": error, **more}
+    hashes = {"log_sha256": "1", "config_sha256": "2", "references_sha256": ""}
+    return {**who, **hashes, "error": error, **more}
 
 
 def test_a_journal_ignores_an_incomplete_line_and_knows_finished_runs(tmp_path):
@@ -29,6 +30,18 @@ def test_a_journal_ignores_an_incomplete_line_and_knows_finished_runs(tmp_path):
     assert not again.has({**row(0), "log_sha256": "another log of that name"})
     again.add(row(1, ate_m=0.5))
     assert [r.get("ate_m") for r in Journal(tmp_path).rows()] == [0.25, 0.5, None]
+
+
+def test_a_run_is_repeated_if_a_file_has_changed_and_its_new_row_replaces_the_old_one(tmp_path):
+    journal = Journal(tmp_path)
+    journal.add(row(0, ate_m=0.25))
+    for name in ("log_sha256", "config_sha256", "references_sha256"):
+        assert not journal.has({**row(0), name: "3"})
+    journal.add({**row(0, ate_m=0.5), "config_sha256": "3"})
+    for known in (journal, Journal(tmp_path)):
+        assert [r["ate_m"] for r in known.rows()] == [0.5]
+        assert known.has({**row(0), "config_sha256": "3"})
+        assert not known.has(row(0))
 
 
 def test_a_folder_with_other_content_is_rejected(tmp_path):
@@ -45,7 +58,7 @@ def test_the_table_has_a_row_for_each_run_in_order(tmp_path):
         first, second = csv.DictReader(file)
     assert list(first) == [
         *("log", "config", "x.y", "seed", "status", "message", "scans", "ate_m"),
-        *("cpu_s", "log_sha256", "config_sha256"),
+        *("cpu_s", "log_sha256", "config_sha256", "references_sha256"),
     ]
     assert (first["seed"], first["status"], first["ate_m"]) == ("0", "ok", "0.25")
     assert (second["status"], second["message"], second["ate_m"]) == ("failed", "IMU on fire", "")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 import numpy as np
 
@@ -24,18 +23,6 @@ NOTES = {
     "start": "at start: with the first pose aligned to the true one",
     "none": "as given: assuming that the truth is in the map frame",
 }
-
-
-def short_names(paths: Sequence[Path]) -> list[str]:
-    """Return the paths without the leading and trailing parts that all have in common."""
-    parts = [list(path.parts) for path in paths]
-    while len(paths) > 1 and len({tuple(p[:1]) for p in parts}) == 1 and min(map(len, parts)) > 1:
-        parts = [p[1:] for p in parts]
-    while len(paths) > 1 and len({tuple(p[-1:]) for p in parts}) == 1 and min(map(len, parts)) > 1:
-        parts = [p[:-1] for p in parts]
-    if len(paths) == 1:
-        parts = [p[-1:] or ["."] for p in parts]
-    return [str(Path(*p)) for p in parts]
 
 
 def show_paths(scores: Mapping[str, PathScore], align_by: Alignment, delta: float) -> None:

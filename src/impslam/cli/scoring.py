@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from impslam.cli.comparison import (
-    short_names,
     show_innovations,
     show_landmarks,
     show_paths,
@@ -28,7 +27,7 @@ from impslam.evaluation.relations import RelationErrors, read_relations, relatio
 from impslam.evaluation.run_files import RecordedRun, read_run
 from impslam.evaluation.scores import KindScore, PathScore, score_kinds, score_path
 from impslam.evaluation.tum import read_tum
-from impslam.paths import write_bytes
+from impslam.paths import short_names, write_bytes
 from impslam.types import Array, TrueLandmark
 
 if TYPE_CHECKING:

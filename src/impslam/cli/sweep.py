@@ -175,17 +175,24 @@ def write(folder: Path, rows: Sequence[Row]) -> list[Path]:
 def show_errors(rows: Sequence[Row]) -> None:
     """Print the errors of each log by variant, and the reasons of failed runs."""
     from impslam.sweeps.statistics import MEDIAN_95, Quantiles
-    from impslam.sweeps.verdict import MEASURES, by_log, measure_of, values_of, variant_name
+    from impslam.sweeps.verdict import (
+        MEASURES,
+        by_log,
+        log_names,
+        measure_of,
+        values_of,
+        variant_name,
+    )
 
-    cells = []
-    for log, variants in by_log(rows).items():
+    cells, logs = [], by_log(rows)
+    for log, variants in zip(log_names(logs), logs.values(), strict=True):
         measure = measure_of(variants)
         for variant, runs in variants.items():
             values = values_of(runs, measure) if measure else []
             spread = str(Quantiles.of(100.0 * value for value in values)) if values else "-"
             seconds = f"{median(run['cpu_s'] for run in runs):.2f}"
             name = MEASURES.get(measure, "nothing known")
-            cells.append((Path(log).name, variant, name, str(len(runs)), spread, seconds))
+            cells.append((log, variant, name, str(len(runs)), spread, seconds))
     if cells:
         header = ("log", "config and settings", "error, cm", "runs", MEDIAN_95, "CPU s")
         console.show_table(header, cells, numbers=3)

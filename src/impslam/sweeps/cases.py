@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -13,6 +13,7 @@ from typing import Any, TypeAlias
 from impslam import toml
 from impslam.config import load, presets, read_table
 from impslam.errors import ConfigError, SourceError
+from impslam.evaluation.landmark_files import landmarks_path
 from impslam.open_log import open_log
 from impslam.provenance import fingerprint
 from impslam.settings import parse_setting
@@ -40,6 +41,7 @@ class Log:
     content : SHA-256 of its bytes
     is_world : whether a drive is simulated
     truth, relations : reference files for the path; None for the truth in the log itself
+    references : SHA-256 of these files and of the landmarks beside the log; "" if there are none
     """
 
     name: str
@@ -48,16 +50,19 @@ class Log:
     is_world: bool
     truth: str | None = None
     relations: str | None = None
+    references: str = ""
 
 
 @dataclass(frozen=True, slots=True)
 class Case:
     """One run: a log mapped with a config, settings on top of it, and a seed.
 
-    `config_content` is the SHA-256 of the config's content; "" for the preset of the log.
+    `config_name` is as given by the user, `config` is absolute, and `config_content` is the SHA-256 of its
+    content; the preset of the log is "", None and "".
     """
 
     log: Log
+    config_name: str
     config: str | None
     config_content: str
     settings: Settings
@@ -72,11 +77,12 @@ class Case:
         """Return the identity of the run; runs with equal rows have equal results."""
         return {
             "log": self.log.name,
-            "config": Path(self.config).name if self.config else "",
+            "config": self.config_name,
             "settings": {key: plain(value) for key, value in self.settings},
             "seed": self.seed,
             "log_sha256": self.log.content,
             "config_sha256": self.config_content,
+            "references_sha256": self.log.references,
         }
 
 
@@ -93,13 +99,18 @@ def cases(
     ConfigError
         If a config is invalid with these settings.
     """
+    if "seed" in settings:
+        raise ConfigError("seed: each run has its own one; give the number of seeds with --seeds")
     made: list[Case] = []
-    for name in configs:
-        content, absolute = _content(name), _absolute(name)
+    for config in configs:
+        name = "" if config is None else str(Path(config))
+        content, absolute = _content(config), _absolute(config)
         for values in product(*settings.values()):
             chosen = tuple(zip(settings, values, strict=True))
             some = [
-                Case(log, absolute, content, chosen, seed) for log in logs for seed in range(seeds)
+                Case(log, name, absolute, content, chosen, seed)
+                for log in logs
+                for seed in range(seeds)
             ]
             _check(some[0])
             made += some
@@ -149,8 +160,16 @@ def find_log(name: str, truth: str | None = None, relations: str | None = None) 
     for file in (truth, relations):
         if file is not None and not Path(file).is_file():
             raise ConfigError(f"{file}: no such file; check the path")
-    files = (None if file is None else str(Path(file).resolve()) for file in (truth, relations))
-    return Log(name, str(path.resolve()), fingerprint(path), False, *files)
+    files = [None if file is None else Path(file).resolve() for file in (truth, relations)]
+    references = _references([*files, landmarks_path(path)])
+    true, related = (None if file is None else str(file) for file in files)
+    return Log(name, str(path.resolve()), fingerprint(path), False, true, related, references)
+
+
+def _references(files: Iterable[Path | None]) -> str:
+    """Return the SHA-256 of the files with the truth of a log; "" if none of them exists."""
+    known = [fingerprint(file) if file and file.is_file() else "" for file in files]
+    return hashlib.sha256(" ".join(known).encode()).hexdigest() if any(known) else ""
 
 
 def _world_content(name: str) -> str:

@@ -11,8 +11,10 @@ from impslam.paths import replacement
 from impslam.sweeps.rows import Row
 
 JOURNAL = "runs.jsonl"
-IDENTITY = ("log", "config", "settings", "seed", "log_sha256", "config_sha256")
+RUN = ("log", "config", "settings", "seed")
 """Columns that identify a run."""
+CONTENTS = ("log_sha256", "config_sha256", "references_sha256")
+"""Columns of the hashes of its files: if one has changed, the run is repeated."""
 
 
 class Journal:
@@ -34,20 +36,22 @@ class Journal:
             )
         folder.mkdir(parents=True, exist_ok=True)
         whole = _whole_lines(self._file)
-        self._rows = {identity(row): row for row in map(json.loads, whole)}
+        self._rows = {_key(row): row for row in map(json.loads, whole)}
         with replacement(self._file) as stream:  # a signal or a full disk leaves the old file
             stream.write("".join(whole).encode())
 
     def add(self, row: Row) -> None:
         """Store the row of a run."""
-        self._rows[identity(row)] = known = json_values(row)
+        self._rows[_key(row)] = known = json_values(row)
         with self._file.open("a", encoding="utf-8") as file:
             file.write(json.dumps(known, allow_nan=False) + "\n")
 
     def has(self, run: Row) -> bool:
-        """Return whether this run has succeeded."""
-        row = self._rows.get(identity(run))
-        return row is not None and not row["error"]
+        """Return whether this run has succeeded with the present files."""
+        row = self._rows.get(_key(run))
+        if row is None or row["error"]:
+            return False
+        return all(row.get(name, "") == run[name] for name in CONTENTS)
 
     def rows(self) -> list[Row]:
         """Return the newest row of each run."""
@@ -61,6 +65,6 @@ def _whole_lines(file: Path) -> list[str]:
     return [line for line in lines if line.endswith("}\n")]
 
 
-def identity(row: Row) -> str:
+def _key(row: Row) -> str:
     """Return a string that is equal for rows of the same run."""
-    return json.dumps([row[name] for name in IDENTITY], sort_keys=True)
+    return json.dumps([row[name] for name in RUN], sort_keys=True)

@@ -6,7 +6,6 @@ Importing this module imports matplotlib (0.4 s); import it only to draw.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,7 +17,7 @@ from impslam.evaluation.comparison_plot import COLOURS, LOG_RATIO
 from impslam.evaluation.plots import new_figure, quiet, shortened
 from impslam.sweeps.rows import Row
 from impslam.sweeps.statistics import Quantiles
-from impslam.sweeps.verdict import MEASURES, by_log, measure_of, values_of
+from impslam.sweeps.verdict import MEASURES, by_log, log_names, measure_of, values_of
 
 MIN_INTERVAL_RUNS = 5
 """Runs needed to draw an interval: fewer are visible as points."""
@@ -30,12 +29,10 @@ def draw_sweep(rows: Sequence[Row]) -> Figure:
     names = list(dict.fromkeys(name for variants in logs.values() for name in variants))
     figure = new_figure(min(16.0, max(6.0, 2.5 + 0.9 * len(names))), 4.5, dpi=150)
     axes: Axes = figure.subplots()
-    for k, (log, variants) in enumerate(logs.items()):
+    for k, (log, variants) in enumerate(zip(log_names(logs), logs.values(), strict=True)):
         measure, shift = measure_of(variants), 0.6 * ((k + 0.5) / len(logs) - 0.5)
         colour = COLOURS[k % len(COLOURS)]
-        axes.plot(
-            [], [], "o", color=colour, label=f"{shortened(Path(log).name)}: {MEASURES[measure]}"
-        )
+        axes.plot([], [], "o", color=colour, label=f"{shortened(log)}: {MEASURES[measure]}")
         for name, some in variants.items():
             _draw_runs(axes, names.index(name) + shift, values_of(some, measure), colour)
     _label(axes, names)

@@ -11,11 +11,11 @@ from typing import Any
 
 from impslam.extras import install
 from impslam.paths import write_bytes
-from impslam.sweeps.journal import IDENTITY, identity
+from impslam.sweeps.journal import CONTENTS, RUN
 from impslam.sweeps.rows import Row
 
 CSV, PARQUET = "runs.csv", "runs.parquet"
-LAST = ("cpu_s", "log_sha256", "config_sha256")
+LAST = ("cpu_s", *CONTENTS)
 log = logging.getLogger(__name__)
 _ADVICE = "free disk space or check the folder"
 
@@ -34,11 +34,11 @@ def _place(row: Row) -> tuple[Any, ...]:
         (key, isinstance(value, str), value if isinstance(value, str) else float(value))
         for key, value in row["settings"].items()
     ]
-    return row["log"], row["config"] or "", settings, row["seed"], identity(row)
+    return row["log"], row["config"] or "", settings, row["seed"]
 
 
 def _flat(row: Row) -> Row:
-    special = {*IDENTITY, "error", *LAST}
+    special = {*RUN, "error", *LAST}
     metrics = {key: value for key, value in row.items() if key not in special}
     return {
         "log": row["log"],

@@ -11,7 +11,6 @@ from typing import Any
 from impslam.config import Config, load, presets
 from impslam.errors import ConfigError
 from impslam.open_log import open_log
-from impslam.provenance import fingerprint
 from impslam.sources.base import recognise
 from impslam.sweeps.cases import SIMULATED, Case, Log, Settings, cases
 from impslam.sweeps.measures import run_case
@@ -76,12 +75,9 @@ class Task:
     def evidence(self, score: str) -> dict[str, Any]:
         """Return what the scores of a search depend on besides the searched parameters, for JSON."""
         rows = [case.row() for case in self.cases(())]
-        files = [file for log in self.logs for file in (log.truth, log.relations) if file]
-        return {
-            "score": score,
-            "runs": [{name: row[name] for name in row if name != "log"} for row in rows],
-            "references": [fingerprint(Path(file)) for file in files],
-        }
+        names = ("log", "config")  # their contents count
+        runs = [{key: row[key] for key in row if key not in names} for row in rows]
+        return {"score": score, "runs": runs}
 
     def values(self, space: Space) -> dict[str, Any]:
         """Return the configured values of the searched parameters."""

@@ -15,6 +15,7 @@ from impslam.sweeps.cases import Log, Settings
 from impslam.sweeps.rows import Row
 from impslam.sweeps.task import AFTER, BEFORE, Task
 from impslam.sweeps.tuning import best, finished, score_of
+from impslam.sweeps.verdict import log_names
 
 
 def tuned_config(
@@ -25,10 +26,11 @@ def tuned_config(
         f"# Found by imp tune in {len(finished(study))} trials; score: {score}, lower is better."
     ]
     lines.append(f"# Best trial: {best(study).number}, {best(study).value:.6g} over its logs.")
-    for log in [*task.logs, *task.holdout]:
+    logs = [*task.logs, *task.holdout]
+    for name, log in zip(log_names(log.name for log in logs), logs, strict=True):
         held_out = ", held out" if log in task.holdout else ""
         before, after = (_score(rows, log, when, score) for when in (BEFORE, AFTER))
-        lines.append(f"# {Path(log.name).name}{held_out}: {before} before, {after} after")
+        lines.append(f"# {name}{held_out}: {before} before, {after} after")
     table: dict[str, Any] = {}
     for setting in [*task.settings, *(f"{key}={value}" for key, value in found)]:
         table = merge(table, parse_setting(setting))

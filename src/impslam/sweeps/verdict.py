@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 
+from impslam.paths import short_names
 from impslam.sweeps.rows import Row
 
 MEASURES = {
@@ -18,6 +20,13 @@ def variant_name(row: Row) -> str:
     """Return a short name of the config and the settings of a run."""
     values = [f"{'.'.join(key.split('.')[-2:])}={value}" for key, value in row["settings"].items()]
     return " ".join([row["config"], *values]).strip() or "preset of the log"
+
+
+def log_names(logs: Iterable[str]) -> list[str]:
+    """Return the names of logs' files, with folders if several files have the same name."""
+    paths = [Path(log) for log in logs]
+    names = [path.name for path in paths]
+    return names if len(set(names)) == len(names) else short_names(paths)
 
 
 def by_log(rows: Iterable[Row]) -> dict[str, dict[str, list[Row]]]:

@@ -4,6 +4,7 @@ import json
 import math
 import sys
 
+import numpy as np
 import pytest
 
 from impslam import extras
@@ -218,6 +219,31 @@ def test_a_range_of_whole_numbers_stays_whole():
     assert parse_space(["filter.iterations=1:5"], load("imp", ["filter.kind=ekf"])) == {
         "filter.iterations": Range(1, 5, whole=True)
     }
+
+
+def test_positive_whole_numbers_are_searched_on_a_logarithmic_scale(tmp_path):
+    space = {"tracker.length": Range(1, 10000, whole=True)}
+    study = open_study(tmp_path, {"tracker.length": 100}, space)
+    values = [int(dict(suggest(space, study.ask()))["tracker.length"]) for _ in range(41)]
+    assert values[0] == 100
+    assert 20 < np.median(values) < 500
+    text = dict(suggest({"k": Range(0, 10000, whole=True)}, study.ask()))["k"]
+    assert 0 <= int(text) <= 10000
+
+
+def test_a_held_out_log_without_a_score_does_not_lose_the_result(tmp_path):
+    study, _ = tune(tmp_path, 4)
+    task = Task([find_log("room")], [find_log("arena")], None, [], 1)
+    rows = [
+        {"log": log, "config": when, "error": "", "ate_m": error}
+        for log, error in (("room", 0.02), ("arena", None))
+        for when in ("before", "after")
+    ]
+    text = tuned_config(task, suggest(SPACE, best(study)), rows, "truth", study, tmp_path)
+    assert "# room: 0.02 before, 0.02 after" in text
+    assert "# arena, held out: its truth score is unknown; give --truth FILE" in text
+    (tmp_path / "tuned.toml").write_text(text)
+    assert load(tmp_path / "tuned.toml").robot == "imp"
 
 
 def test_the_tuned_config_loads_and_contains_its_scores(tmp_path):

@@ -22,9 +22,10 @@ class Range:
 
     def suggest(self, trial: Any, key: str) -> str:
         """Return the value suggested by a trial."""
+        is_log = self.low > 0.0
         if self.whole:
-            return str(trial.suggest_int(key, int(self.low), int(self.high)))
-        return self._rounded(trial.suggest_float(key, self.low, self.high, log=self.low > 0.0))
+            return str(trial.suggest_int(key, int(self.low), int(self.high), log=is_log))
+        return self._rounded(trial.suggest_float(key, self.low, self.high, log=is_log))
 
     def _rounded(self, value: float) -> str:
         """Return a value with no more digits than matter in the range, and inside it."""

@@ -9,12 +9,13 @@ from typing import Any
 import tomli_w
 
 from impslam.config import merge, presets
+from impslam.errors import ConfigError
 from impslam.paths import portable
 from impslam.settings import parse_setting
 from impslam.sweeps.cases import Log, Settings
 from impslam.sweeps.rows import Row
 from impslam.sweeps.task import AFTER, BEFORE, Task
-from impslam.sweeps.tuning import best, finished, score_of
+from impslam.sweeps.tuning import best, finished, score_of, unknown
 from impslam.sweeps.verdict import log_names
 
 
@@ -29,13 +30,21 @@ def tuned_config(
     logs = [*task.logs, *task.holdout]
     for name, log in zip(log_names(log.name for log in logs), logs, strict=True):
         held_out = ", held out" if log in task.holdout else ""
-        before, after = (_score(rows, log, when, score) for when in (BEFORE, AFTER))
-        lines.append(f"# {name}{held_out}: {before} before, {after} after")
+        lines.append(f"# {name}{held_out}: {_scores(rows, log, score)}")
     table: dict[str, Any] = {}
     for setting in [*task.settings, *(f"{key}={value}" for key, value in found)]:
         table = merge(table, parse_setting(setting))
     base = task.base if task.base in presets() else portable(Path(task.base), folder)
     return "\n".join(lines) + "\n" + tomli_w.dumps({"base": base, **table})
+
+
+def _scores(rows: Sequence[Row], log: Log, score: str) -> str:
+    """Return the scores of a log before and after; that of a held-out log may be unknown."""
+    try:
+        before, after = (_score(rows, log, when, score) for when in (BEFORE, AFTER))
+    except ConfigError:
+        return unknown(score)
+    return f"{before} before, {after} after"
 
 
 def _score(rows: Sequence[Row], log: Log, when: str, score: str) -> str:

@@ -202,6 +202,9 @@ def _value(row: Row, score: str) -> float:
         value = row.get(name)
         if value is not None and math.isfinite(value):
             return float(value)
-    raise ConfigError(
-        f"{row['log']}: its {score} score is unknown; {HELP.get(score, 'choose another --score')}"
-    )
+    raise ConfigError(f"{row['log']}: {unknown(score)}")
+
+
+def unknown(score: str) -> str:
+    """Say that the score of a log is unknown, and what to do."""
+    return f"its {score} score is unknown; {HELP.get(score, 'choose another --score')}"

@@ -40,7 +40,7 @@ def draw_search(study: Any, keys: Sequence[str]) -> Figure:
         values = [trial.params[key] for trial in trials]
         _draw(panel, values, scores, best)
         panel.set_xlabel(key, fontsize=9)
-        if all(isinstance(v, float) and v > 0.0 for v in values):
+        if all(isinstance(v, int | float) and v > 0.0 for v in values):
             panel.set_xscale("log")
     top = np.quantile(scores, 0.9)
     for panel in panels[: 1 + len(keys)]:

@@ -67,11 +67,19 @@ def test_a_wall_is_drawn_once_it_has_been_observed(tmp_path, monkeypatch):
 
 def test_long_runs_take_no_longer_and_the_clock_never_runs_backwards():
     stamps = np.concatenate([np.arange(0.0, 500.0), [3.0], np.arange(500.0, 2000.0)])
-    rows = video._rows(stamps)
+    rows = video._rows(stamps, np.zeros(len(stamps), np.int64))
     assert len(rows) == video.MAX_SECONDS * video.RATE
     assert (np.diff(rows) >= 0).all()
     assert (rows[0], rows[-1]) == (0, len(stamps) - 1)
-    assert len(video._rows(np.zeros(1))) == 2
+    assert len(video._rows(np.zeros(1), np.zeros(1, np.int64))) == 2
+
+
+@pytest.mark.parametrize("begin", [0.0, 50.0, 86400.0])
+def test_all_drives_of_a_continued_map_are_shown_whatever_their_clocks(begin):
+    one = np.arange(0.0, 100.0, 0.1)
+    rows = video._rows(np.concatenate([one, begin + one]), np.repeat([0, 1], len(one)))
+    assert int(rows[-1]) == 2 * len(one) - 1
+    assert np.sum(rows < len(one)) == pytest.approx(len(rows) / 2, abs=1)
 
 
 def test_a_missing_folder_is_an_error(tmp_path):

@@ -25,7 +25,7 @@ from impslam.types import Landmark
 
 ANGLES = {"alpha": "α", "angle": "angle"}
 """Parameters that are angles, and their labels."""
-NO_LANDMARKS = "<p>No landmark was found. The path is dead reckoning.</p>"
+NO_LANDMARKS = "<p>No landmark was found.</p>"
 
 
 def heading(outcome: Outcome, history: History) -> str:

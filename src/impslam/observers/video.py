@@ -65,7 +65,8 @@ def write_video(
         If the file cannot be written.
     """
     require_placed(path, known)
-    rows = _rows(known.rows().stamps)
+    sessions = known.keyframes.sessions[known.anchors[known.placed()]]
+    rows = _rows(known.rows().stamps, sessions)
     frames = _Frames(known, outcome)
     writer = _writer(path, frames.size)
     try:
@@ -76,15 +77,18 @@ def write_video(
         writer.release()
 
 
-def _rows(stamps: Array) -> Ints:
+def _rows(stamps: Array, sessions: Ints) -> Ints:
     """Return the row of the path that each frame (f,) shows: the newest at its time.
 
-    If stamps go backwards, the clock stops.
+    If stamps go backwards, the clock stops. The time between two sessions is left out: a continued map may
+    contain drives of several days, and their clocks may differ.
     """
-    clock = np.maximum.accumulate(stamps)
-    seconds = float(clock[-1] - clock[0])
-    count = max(2, round(RATE * min(MAX_SECONDS, seconds)))
-    times = np.linspace(clock[0], clock[-1], count)
+    starts = np.flatnonzero(np.diff(sessions, prepend=sessions[0] - 1))
+    clocks = [np.maximum.accumulate(part) for part in np.split(stamps, starts[1:])]
+    steps = np.concatenate([np.diff(clock, prepend=clock[0]) for clock in clocks])
+    clock = np.cumsum(steps)
+    count = max(2, round(RATE * min(MAX_SECONDS, float(clock[-1]))))
+    times = np.linspace(0.0, clock[-1], count)
     return np.asarray(np.searchsorted(clock, times, side="right") - 1)
 
 
@@ -126,7 +130,7 @@ class _Frames:
         anchor = int(self._anchors[row])
         self._known.keyframes.take(np.arange(anchor + 1)).draw(self._grid)
         draw_grid(canvas, map_image(self._grid))
-        self._draw_landmarks(canvas, float(self._rows.stamps[row]))
+        self._draw_landmarks(canvas, float(self._rows.stamps[: row + 1].max()))
         for piece in pieces(self._path[: row + 1 + self._breaks[row]]):
             canvas.line(piece, PATH, 2.0)
         self._draw_scan(canvas, anchor)

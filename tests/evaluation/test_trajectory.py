@@ -108,6 +108,13 @@ def test_no_common_time_is_one_line():
         associate(late, circle())
 
 
+def test_a_truth_that_is_too_sparse_is_not_said_to_be_of_another_time():
+    estimate = np.column_stack((np.arange(0.0, 10.0, 0.1), np.zeros((100, 3))))
+    truth = np.column_stack((np.arange(0.03, 10.0, 2.0), np.zeros((5, 3))))
+    with pytest.raises(ImpError, match=r"more than 1 s apart, .*; give a truth with more poses"):
+        associate(estimate[5:85], truth)
+
+
 def test_relative_error_of_a_scaled_path():
     x = np.linspace(0.0, 10.0, 101)
     truth = np.c_[x, np.zeros((101, 2))]

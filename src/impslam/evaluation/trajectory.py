@@ -85,14 +85,20 @@ def associate(estimate: Array, truth: Array, slack: float = 0.1, gap: float = 1.
     Raises
     ------
     ImpError
-        If no stamp of the estimate is within the truth.
+        If no stamp of the estimate is within the truth, or all are in longer gaps.
     """
     known = np.sort(truth[:, 0])
     stamps = estimate[:, 0]
     after = np.clip(np.searchsorted(known, stamps), 1, max(len(known) - 1, 1))
     hole = np.diff(known, append=known[-1])[after - 1] > gap
     exact = np.isin(stamps, known)
-    inside = (stamps >= known[0] - slack) & (stamps <= known[-1] + slack) & (exact | ~hole)
+    within = (stamps >= known[0] - slack) & (stamps <= known[-1] + slack)
+    inside = within & (exact | ~hole)
+    if within.any() and not inside.any():
+        raise ImpError(
+            f"all true poses around those of the estimate are more than {gap:g} s apart, too far to "
+            "interpolate; give a truth with more poses"
+        )
     if not inside.any():
         raise ImpError(
             f"the estimate (from {stamps.min():.3f} to {stamps.max():.3f} s) and the truth (from "

@@ -185,6 +185,19 @@ def test_a_simulated_run_is_scored_from_its_folder_alone(imp, room, tmp_path) ->
     assert " wall " in given.out
 
 
+def test_a_truth_that_is_too_sparse_for_the_errors_is_a_warning(imp, tmp_path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    t = 0.1 * np.arange(300)
+    circle = np.c_[t, np.cos(0.5 * t), np.sin(0.5 * t), 0.5 * t]
+    write_tum(tmp_path / "run.tum", circle)
+    for step, warned in ((10, True), (1, False)):
+        write_tum(tmp_path / "truth.tum", circle[::step] + 1e-4)
+        said = imp("evaluate", "run.tum", "--truth", "truth.tum")
+        assert (
+            "the truth has few poses: its linear interpolation is off by 0." in said.err
+        ) is warned
+
+
 @pytest.mark.parametrize(
     ("paths", "names"),
     [

@@ -15,6 +15,7 @@ from impslam.evaluation.trajectory import (
     ate,
     heading_errors,
     interpolate,
+    interpolation_error,
     position_errors,
     rpe,
     start_frame,
@@ -113,6 +114,20 @@ def test_a_truth_that_is_too_sparse_is_not_said_to_be_of_another_time():
     truth = np.column_stack((np.arange(0.03, 10.0, 2.0), np.zeros((5, 3))))
     with pytest.raises(ImpError, match=r"more than 1 s apart, .*; give a truth with more poses"):
         associate(estimate[5:85], truth)
+
+
+@pytest.mark.parametrize(("seconds", "begin"), [(1.0, 0.0), (0.5, 0.1), (0.1, 1.7e9)])
+def test_the_error_of_an_interpolated_circle_is_known(seconds, begin):
+    """A chord of a circle with the acceleration a is off by a t (h - t) / 2."""
+    t = begin + np.arange(0.0, 30.0, 0.01)
+    path = np.c_[t, np.cos(t - begin), np.sin(t - begin), t - begin]
+    truth = path[:: round(100 * seconds)]
+    inside = path[t <= truth[-1, 0]]
+    off = interpolate(truth, inside[:, 0]) - inside[:, 1:]
+    found = interpolation_error(truth, inside[:, 0])
+    assert found == pytest.approx(np.sqrt(np.mean(off[:, 0] ** 2 + off[:, 1] ** 2)), rel=0.07)
+    assert interpolation_error(truth, truth[:, 0]) == pytest.approx(0.0, abs=1e-9)
+    assert interpolation_error(truth[:2], inside[:, 0]) == 0.0
 
 
 def test_relative_error_of_a_scaled_path():

@@ -42,6 +42,11 @@ DRAWN: dict[Alignment, str] = {
 """Caption of the drawn paths by alignment."""
 
 
+MAX_INTERPOLATION = 0.5
+"""Share of a path's error up to which that of the interpolated truth hardly counts: it adds 13 %, because
+the squares of independent errors add."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class References:
     """The contents of the files to compare runs with; None for files that were not given."""
@@ -154,11 +159,7 @@ def _show(scores: Mapping[str, Scores], references: References) -> None:
         if others := [name for name in scores if name not in paths]:
             log.warning("no ground truth, so no errors of the path: %s", ", ".join(others))
         for name, score in paths.items():
-            total = len(scores[name].run.path)
-            if lacking := total - len(score.pairs.stamps):
-                log.warning(
-                    "%s: the truth lacks %d of %d poses, which are not scored", name, lacking, total
-                )
+            _warn_of_truth(name, score, len(scores[name].run.path))
     if kinds:
         show_landmarks(kinds, options.gate, _alignment_note(bool(paths), options.align))
     if relations:
@@ -167,6 +168,20 @@ def _show(scores: Mapping[str, Scores], references: References) -> None:
         show_innovations(found)
     if qualities := {name: score.quality for name, score in scores.items() if score.quality}:
         show_quality(qualities)
+
+
+def _warn_of_truth(name: str, score: PathScore, total: int) -> None:
+    """Warn of poses of a run without truth, and of a truth that is too sparse to measure the errors."""
+    if lacking := total - len(score.pairs.stamps):
+        log.warning(
+            "%s: the truth lacks %d of %d poses, which are not scored", name, lacking, total
+        )
+    if score.interpolation > MAX_INTERPOLATION * score.aligned.rmse:
+        log.warning(
+            "%s: the truth has few poses: its linear interpolation is off by %.4f m (RMS), which all "
+            "errors contain",
+            *(name, score.interpolation),
+        )
 
 
 def _by_kind(

@@ -38,6 +38,7 @@ from impslam.evaluation.trajectory import (
     associate,
     ate,
     heading_errors,
+    interpolation_error,
     rpe,
     start_frame,
     statistics,
@@ -79,6 +80,7 @@ class PathScore:
     heading : rad
     rpe_metres, rpe_radians : relative pose error; None for a path shorter than the stretch
     consistency : None without covariances or without a true start
+    interpolation : m, RMS error of the true positions, because they are interpolated; part of the errors
     """
 
     pairs: PosePairs
@@ -90,6 +92,7 @@ class PathScore:
     rpe_metres: Statistics | None
     rpe_radians: Statistics | None
     consistency: Consistency | None
+    interpolation: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,7 +138,9 @@ def score_path(run: RecordedRun, truth: Array, align_by: Alignment, delta: float
     consistency = None if start is None else _consistency(run, pairs, start)
     given, aligned = ate(pairs, aligned=False), ate(fitted, aligned=False)
     turn = statistics(heading_errors(fitted))
-    return PathScore(fitted, T_truth_map, start, given, aligned, turn, metres, radians, consistency)
+    sparse = interpolation_error(truth, pairs.stamps)
+    errors = given, aligned, turn, metres, radians
+    return PathScore(fitted, T_truth_map, start, *errors, consistency, sparse)
 
 
 def _relative(pairs: PosePairs, delta: float) -> tuple[Statistics, Statistics] | tuple[None, None]:

@@ -73,6 +73,23 @@ def interpolate(trajectory: Array, stamps: Array) -> Array:
     return poses
 
 
+def interpolation_error(trajectory: Array, stamps: Array) -> float:
+    """Return the RMS error in m of positions interpolated linearly at the stamps (k,).
+
+    Across h s between two poses, an acceleration a causes an error of a t (h - t) / 2 after t s. It is
+    computed from the differences of the speeds before and after each pose.
+    """
+    t, first = np.unique(trajectory[:, 0], return_index=True)
+    if len(t) < 3:
+        return 0.0
+    speeds = np.diff(trajectory[first, 1:3], axis=0) / np.diff(t)[:, None]
+    at_poses = np.hypot(*np.diff(speeds, axis=0).T) / (0.5 * (t[2:] - t[:-2]))
+    i = np.clip(np.searchsorted(t, stamps, side="right") - 1, 0, len(t) - 2)
+    after = np.clip(stamps - t[i], 0.0, t[i + 1] - t[i])
+    errors = np.interp(stamps, t[1:-1], at_poses) * after * (t[i + 1] - t[i] - after) / 2.0
+    return math.sqrt(float(np.mean(errors**2)))
+
+
 def associate(estimate: Array, truth: Array, slack: float = 0.1, gap: float = 1.0) -> PosePairs:
     """Pair an estimate with the truth interpolated to its stamps.
 

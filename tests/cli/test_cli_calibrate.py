@@ -122,11 +122,12 @@ def test_refusals(imp, eight, words, expected):
     assert len(said.err.splitlines()) == 1
 
 
-def drive(world, path, waypoints, seed=0):
+def drive(world, path, waypoints, seed=0, start=(0.0, 0.0, 0.5 * math.pi)):
     """Write the log of a robot with unequal wheels on its way in a world."""
     encoders = WheelEncoders.perfect(radius_sigma=0.01, track_sigma=0.02)
     world = load_world(world)
-    plan = world.robot.model_copy(update={"waypoints": waypoints, "lookahead": 0.1})
+    changes = {"start": start, "waypoints": waypoints, "lookahead": 0.1}
+    plan = world.robot.model_copy(update=changes)
     robot = SimulatedRobot(encoders=encoders, imu=None)
     with McapWriter(path, "imp") as writer:
         for message in simulate(world.model_copy(update={"robot": plan}), robot, seed):
@@ -141,3 +142,17 @@ def test_squares(imp, tmp_path):
     said = imp("calibrate", *logs, "--square", "1")
     assert said.code == 2
     assert "1 squares turn left and 0 right" in said.err
+    right = ((-1.0, 1.0), (0.0, 1.0), (0.0, 0.0), (-1.0, 0.0), (-1.0, 0.05))
+    logs.append(drive("arena", tmp_path / "right.mcap", right, start=(-1.0, 0.0, 0.5 * math.pi)))
+    files = ["-o", tmp_path / "squares.toml", "--json", tmp_path / "squares.json"]
+    said = imp("calibrate", *logs, "--square", "1", *files)
+    assert said.code == 0, said.err
+    wheels = load(tmp_path / "squares.toml").odometry
+    assert wheels["right_left_ratio"] == pytest.approx(0.983, abs=0.003)
+    assert wheels["track"] == pytest.approx(0.412, abs=0.004)
+    found = json.loads((tmp_path / "squares.json").read_text())
+    assert [one["is_left"] for one in found["squares"]] == [True, False]
+    assert found["umbmark"]["error"] == pytest.approx(0.23, abs=0.03)
+    assert found["config"]["odometry"]["track"] == wheels["track"]
+    said = imp("calibrate", *logs, "--square", "1", "--keep", "track")
+    assert "--keep cannot be combined with --square" in said.err

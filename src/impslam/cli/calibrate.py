@@ -62,12 +62,14 @@ def calibrate(  # noqa: PLR0913  # each is an option that a user may give
         raise ConfigError(f"{output}: the config is written as TOML; give -o NAME.toml")
     written = () if output is None else (output, output.with_suffix(".png"))
     keep_inputs([*logs, *([] if config is None else [Path(config)])], [*written, json])
+    if square is not None and keep:
+        raise ConfigError("--keep cannot be combined with --square; leave out one of them")
     changes = all_settings(settings, topics, columns)
     quiet = common is not None and common.quiet
     if square is not None:
         from impslam.cli.umbmark import show_squares
 
-        result = show_squares(logs, config, changes, square, quiet)
+        result = show_squares(logs, config, changes, square, json, quiet)
     else:
         result = _calibrate(logs, config, changes, keep, output, json, quiet)
     if output is not None:

@@ -18,9 +18,14 @@ if TYPE_CHECKING:
 
 
 def show_squares(
-    logs: Sequence[Path], base: str | None, settings: Sequence[str], side: float, quiet: bool
+    logs: Sequence[Path],
+    base: str | None,
+    settings: Sequence[str],
+    side: float,
+    json: Path | None,
+    quiet: bool,
 ) -> tuple[Config, dict[str, Any], list[str]]:
-    """Calibrate from squares; print the result and return it, as `calibrate.Result`.
+    """Calibrate from squares; print the result, write it to `json`, and return it, as `calibrate.Result`.
 
     Raises
     ------
@@ -30,6 +35,7 @@ def show_squares(
         If a log does not end where it began.
     """
     from impslam.calibration.umbmark import corrected, umbmark
+    from impslam.cli.output_files import write_json
 
     if not 0.0 < side < math.inf:
         raise ConfigError("--square is a length in m, greater than 0")
@@ -46,6 +52,9 @@ def show_squares(
         _show(found, squares, values, new)
     names = ("wheel_radius", "right_left_ratio", "track")
     table = {"odometry": dict(zip(names, new.tolist(), strict=True))}
+    if json is not None:
+        ends = [{"error_m": one.error.tolist(), "is_left": one.is_left} for one in squares]
+        write_json(json, {"squares": ends, "umbmark": found, "config": table})
     return config, table, [f"UMBmark of {len(squares)} squares, {side:g} m"]
 
 

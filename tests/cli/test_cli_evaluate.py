@@ -107,6 +107,8 @@ def test_a_run_folder_is_scored_against_its_own_truth(imp, tmp_path, monkeypatch
         said.out.split()
     )
     assert "truth aligned with the map by the path's best fit" in said.out
+    assert said.out.count("NEES: mean over poses, with the truth aligned at the start, ideal 3") == 1
+    assert said.out.count("NEES: with the truth aligned at the start, ideal 2") == 1
     assert "poses unaligned, m ATE, m max, m" in " ".join(said.out.split())
 
 
@@ -159,6 +161,9 @@ def test_a_truth_without_headings_is_noted(imp, tmp_path, monkeypatch) -> None:
     assert json.loads((tmp_path / "a.json").read_text())["runs"]["mine"]["path"]["nees"] is None
     given = imp("evaluate", "mine", "--align", "none")
     assert "(2: position only)" in given.out
+    assert "NEES: mean over poses, with the truth as given, ideal 2" in given.out
+    assert "NEES: with the truth as given, ideal 2" in given.out
+    assert "aligned at the start" not in given.out
     one_line(imp("evaluate", "mine", "--align", "start"), "no heading at the start of the run")
 
 

@@ -25,6 +25,14 @@ NOTES = {
 }
 
 
+NEES_FRAMES = {
+    "fit": "with the truth aligned at the start",
+    "start": "with the truth aligned at the start",
+    "none": "with the truth as given",
+}
+"""How the truth is aligned for normalised errors."""
+
+
 def show_paths(scores: Mapping[str, PathScore], align_by: Alignment, delta: float) -> None:
     """Print the errors of paths against the truth."""
     name, rpe = ALIGNED[align_by], f"RPE/{delta:g} m"
@@ -34,7 +42,7 @@ def show_paths(scores: Mapping[str, PathScore], align_by: Alignment, delta: floa
     notes = [f"errors: root mean squares; unaligned: as the files are; {NOTES[align_by]}"]
     consistencies = [score.consistency for score in scores.values()]
     if any(consistencies):
-        notes.append(_consistency_note([c for c in consistencies if c]))
+        notes.append(_consistency_note([c for c in consistencies if c], align_by))
     if not all(consistencies):
         notes.append(
             "NEES -: needs covariances (a run folder) and a true heading within 1 s of the start"
@@ -45,11 +53,11 @@ def show_paths(scores: Mapping[str, PathScore], align_by: Alignment, delta: floa
         console.echo(note)
 
 
-def _consistency_note(known: Sequence[Consistency]) -> str:
+def _consistency_note(known: Sequence[Consistency], align_by: Alignment) -> str:
     dofs = " or ".join(str(dof) for dof in sorted({c.dof for c in known}))
     two = "" if min(c.dof for c in known) == 3 else " (2: position only)"
     return (
-        f"NEES: mean over poses, with the truth aligned at the start, ideal {dofs}{two}; 95 %: its "
+        f"NEES: mean over poses, {NEES_FRAMES[align_by]}, ideal {dofs}{two}; 95 %: its "
         "interval for consistent covariances and correlated poses; within: share of poses in the "
         "interval of a single pose"
     )
@@ -90,15 +98,17 @@ def _consistency_cells(found: Consistency | None) -> tuple[Cell, Cell, Cell]:
     return mean, interval, Cell(f"{100.0 * found.within:.0f} %", abs(found.within - 0.95))
 
 
-def show_landmarks(scores: Mapping[str, Sequence[KindScore]], gate: float, note: str) -> None:
+def show_landmarks(
+    scores: Mapping[str, Sequence[KindScore]], gate: float, note: str, align_by: Alignment
+) -> None:
     """Print how many true landmarks of each kind were matched, and their errors."""
     header = ["run", "kind", "true", "matched", "missing", "false", "double"]
     header += ["RMS, m", "max, m", "angle, deg", "NEES"]
     rows = {(run, s.kind): _kind_cells(s) for run, kinds in scores.items() for s in kinds}
     show(header, dict(sorted(rows.items(), key=lambda row: row[0][1])))
     console.echo(
-        f"matched within {gate:g} m, {note}; walls: perpendicular distance at their midpoint; NEES: ideal "
-        "2, with the truth aligned at the start"
+        f"matched within {gate:g} m, {note}; walls: perpendicular distance at their midpoint; NEES: "
+        f"{NEES_FRAMES[align_by]}, ideal 2"
     )
 
 

@@ -40,6 +40,12 @@ DRAWN: dict[Alignment, str] = {
     "none": "as given",
 }
 """Caption of the drawn paths by alignment."""
+LANDMARK_FRAMES: dict[Alignment, str] = {
+    "fit": "truth aligned with the map by the path's best fit",
+    "start": "truth aligned with the map by the path's start",
+    "none": "assuming that the truth is in the map frame",
+}
+"""How the true landmarks are aligned with the map."""
 
 
 MAX_INTERPOLATION = 0.5
@@ -161,7 +167,8 @@ def _show(scores: Mapping[str, Scores], references: References) -> None:
         for name, score in paths.items():
             _warn_of_truth(name, score, len(scores[name].run.path))
     if kinds:
-        show_landmarks(kinds, options.gate, _alignment_note(bool(paths), options.align))
+        align = options.align if paths else "none"
+        show_landmarks(kinds, options.gate, LANDMARK_FRAMES[align], align)
     if relations:
         show_relations(relations)
     if found := {name: score.innovations for name, score in scores.items() if score.innovations}:
@@ -193,13 +200,6 @@ def _by_kind(
         {name: score.kinds for name, score in scores.items() if score.kinds},
         {name: score.relations for name, score in scores.items() if score.relations},
     )
-
-
-def _alignment_note(has_path: bool, align: Alignment) -> str:
-    """Describe how the true landmarks were aligned with the map."""
-    if not has_path or align == "none":
-        return "assuming that the truth is in the map frame"
-    return "truth aligned with the map by the path's " + ("best fit" if align == "fit" else "start")
 
 
 def _facts(scores: Mapping[str, Scores], references: References) -> dict[str, Any]:

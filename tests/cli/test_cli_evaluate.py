@@ -107,7 +107,9 @@ def test_a_run_folder_is_scored_against_its_own_truth(imp, tmp_path, monkeypatch
         said.out.split()
     )
     assert "truth aligned with the map by the path's best fit" in said.out
-    assert said.out.count("NEES: mean over poses, with the truth aligned at the start, ideal 3") == 1
+    assert (
+        said.out.count("NEES: mean over poses, with the truth aligned at the start, ideal 3") == 1
+    )
     assert said.out.count("NEES: with the truth aligned at the start, ideal 2") == 1
     assert "poses unaligned, m ATE, m max, m" in " ".join(said.out.split())
 

@@ -113,6 +113,26 @@ def test_health_has_level_and_reason(written):
     assert "the lidar sees nothing" in states[25].message
 
 
+@pytest.mark.parametrize(("same_log", "first"), [(False, 20), (True, 0)])
+def test_of_a_continued_map_the_drive_of_the_newest_log_is_written(tmp_path, same_log, first):
+    """The first 20 scans are of a day before, or of a run of the same log that was stopped."""
+    known, outcome = made_up()
+    if not same_log:
+        stamps, sessions = known.stamps.copy(), known.keyframes.sessions.copy()
+        stamps[:20] -= 86400.0
+        sessions[int(known.anchors[20]) :] = 1
+        keyframes = replace(known.keyframes, sessions=sessions)
+        known = replace(known, stamps=stamps, keyframes=keyframes)
+    health = Health(*(column[20:] for column in outcome.health[:3]))
+    write_ros_map(tmp_path / "run.mcap", known, replace(outcome, health=health))
+    topics, _ = read(tmp_path / "run.mcap")
+    assert len(topics["/tf"]) == len(topics["/health"]) == SCANS - first
+    stamps = [stamp_of(message.transforms[0].header) for _, message in topics["/tf"]]
+    np.testing.assert_allclose(stamps, known.stamps[first:], atol=1e-6)
+    assert min(clock for rows in topics.values() for clock, _ in rows) == topics["/tf"][0][0]
+    assert len(topics["/path"][0][1].poses) == SCANS
+
+
 def test_stamps_that_run_backwards_or_repeat_are_put_in_order(tmp_path):
     known, outcome = made_up()
     stamps = known.stamps.copy()

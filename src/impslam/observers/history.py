@@ -25,6 +25,20 @@ def health_of(known: Map, health: Health) -> Health:
     return Health(known.stamps[placed], reasons[placed], amounts[placed])
 
 
+def rows_of_log(known: Map, health: Health) -> slice:
+    """Return the rows of `known.rows()` of the newest log, given the health of the newest run's sweeps.
+
+    In a continued map, earlier rows are of other logs. A run of this log that was stopped is in the same
+    session, and belongs to it.
+    """
+    begin = len(known.stamps) - len(health.stamps)
+    if begin == len(known.stamps):
+        return slice(0, None)
+    sessions = known.keyframes.sessions[known.anchors]
+    first = int(np.argmax(sessions == sessions[begin]))
+    return slice(int(np.count_nonzero(known.placed()[:first])), None)
+
+
 @dataclass(frozen=True, eq=False)
 class History:
     """The path of a map, and the true path.

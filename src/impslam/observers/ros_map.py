@@ -11,7 +11,7 @@ from impslam.map import Map
 from impslam.maps.files import map_image
 from impslam.observers import ros_markers, ros_values
 from impslam.observers.base import Observer, Outcome, require_placed
-from impslam.observers.history import health_of
+from impslam.observers.history import health_of, rows_of_log
 from impslam.sources.mcap_file import LATCHED, McapFile
 from impslam.sources.ros_build import message_types, nanoseconds
 from impslam.sources.ros_storage import RosMessage
@@ -34,8 +34,8 @@ def write_ros_map(path: Path, known: Map, outcome: Outcome) -> None:
     """Write a map as an MCAP file, replacing an existing one.
 
     The final `/map`, `/path` and `/landmarks` come first and are latched. `/tf` (map -> odom -> base_link)
-    and `/health` follow, a message for each scan, in order of the stamps; of scans with equal stamps only
-    the last one is written.
+    and `/health` follow, a message for each scan of the log, in order of the stamps; of scans with equal
+    stamps only the last one is written. If the map was continued, other logs are of other times.
 
     Raises
     ------
@@ -43,8 +43,8 @@ def write_ros_map(path: Path, known: Map, outcome: Outcome) -> None:
         If the file cannot be written, or ROS cannot represent the stamps.
     """
     require_placed(path, known)
-    rows = known.rows()
-    at = _chronological(rows.stamps)
+    rows, drive = known.rows(), rows_of_log(known, outcome.health)
+    at = (drive.start + _chronological(rows.stamps[drive])).tolist()
     stamps, poses, odometry = rows.stamps[at], rows.poses[at], rows.odometry[at]
     health = health_of(known, outcome.health)
     reasons, amounts = health.reasons, health.amounts
@@ -58,7 +58,7 @@ def write_ros_map(path: Path, known: Map, outcome: Outcome) -> None:
 
         image = map_image(known.grid(outcome.config["grid"]["resolution"]))
         write("/map", begin, ros_values.grid(image, begin), True)
-        write("/path", begin, ros_values.path(stamps, poses), True)
+        write("/path", begin, ros_values.path(rows.stamps, rows.poses), True)
         write("/landmarks", begin, ros_markers.landmarks(known.landmarks, begin), True)
         T_map_odom = compose(poses, inverse(odometry))
         for k, stamp in enumerate(stamps.tolist()):

@@ -11,6 +11,7 @@ from tests.observers import runs
 
 from impslam.evaluation.landmarks import transform_landmarks
 from impslam.evaluation.quality import Quality
+from impslam.observers.accuracy import align_truth
 from impslam.observers.base import Dropped
 from impslam.observers.history import History
 from impslam.observers.page import ChartLine, chart
@@ -95,11 +96,27 @@ def test_errors_are_shown_where_the_truth_is_known(tmp_path):
     assert "NEES" in text
 
 
-def test_a_truth_in_its_own_frame_is_aligned_at_the_start(tmp_path):
+@pytest.mark.parametrize("frame", [(40.0, -7.0, 2.0), (0.03, -0.01, 0.03)])
+def test_a_truth_in_its_own_frame_is_aligned_at_the_start(tmp_path, frame):
+    """Also one of a robot that was put on the origin of the tracking system, by hand."""
     figure = re.compile(r'From the start</div><div class="figure">([^<]+)<')
     here = write(tmp_path, truth=runs.make_truth())
-    there = write(tmp_path, truth=runs.make_truth(frame=(40.0, -7.0, 2.0)))
+    there = write(tmp_path, truth=runs.make_truth(frame=frame))
     assert figure.search(here).group(1) == figure.search(there).group(1)
+    assert "It is given in the map frame." in here
+    assert "It is aligned with the map at the first pose" in there
+
+
+@pytest.mark.parametrize(("sigma", "how"), [(0.02, "map"), (1e-4, "start")])
+def test_a_truth_is_in_map_if_the_first_poses_agree_within_their_covariance(sigma, how):
+    """After the localisation in a map, the first pose is uncertain; else it defines the map."""
+    known = runs.play([], 50)
+    covariances = known.keyframes.covariances.copy()
+    covariances[0] = sigma**2 * np.eye(3)
+    known = replace(known, keyframes=replace(known.keyframes, covariances=covariances))
+    truth = [(p.stamp, *p.pose) for p in runs.make_truth(frame=(0.03, 0.0, 0.02))]
+    history = History(known, np.array(truth))
+    assert align_truth(history).how == how
 
 
 def test_a_truth_of_another_time_is_left_out(tmp_path):

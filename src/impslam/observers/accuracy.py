@@ -19,7 +19,6 @@ from impslam.evaluation.trajectory import (
     ate,
     heading_errors,
     interpolate,
-    is_same_pose,
     position_errors,
     start_frame,
     statistics,
@@ -36,6 +35,10 @@ CHARTS = (
 )
 """Charts of the pose errors: title, line style, and the factor from m or rad to the title's unit."""
 
+START_RESOLUTION = 1e-4
+"""m and rad: accuracy to which a truth in the map frame contains the start of the run."""
+MAX_START_NEES = 16.27
+"""Chi-square of three degrees of freedom that 0.1 % exceed."""
 NOTES = {
     "map": "It is given in the map frame.",
     "start": "It is aligned with the map at the first pose, to which the covariances refer.",
@@ -56,7 +59,8 @@ def align_truth(history: History) -> AlignedTruth | None:
     """Return pairs of estimated and true poses in map, or None without ground truth.
 
     A truth with a frame of its own, e.g. from a tracking system, is aligned at the first pose, where
-    the filter's covariance begins; or by the best fit of the paths if it has no heading there.
+    the filter's covariance begins; or by the best fit of the paths if it has no heading there. It is in map
+    if the first poses agree within the covariance, as after the localisation in a map.
     """
     if not len(history.true_path) or not len(history.path):
         return None
@@ -64,7 +68,7 @@ def align_truth(history: History) -> AlignedTruth | None:
         pairs = associate(history.path, history.true_path)
     except ImpError:
         return None
-    if is_same_pose(pairs.estimate[0], pairs.truth[0]):
+    if _is_in_map(pairs, _at(history, pairs.stamps)[0]):
         return AlignedTruth(pairs, np.zeros(3), "map")
     T_truth_map = start_frame(pairs, float(history.path[0, 0]))
     fitted = T_truth_map is None
@@ -73,6 +77,13 @@ def align_truth(history: History) -> AlignedTruth | None:
     T_map_truth = inverse(T_truth_map)
     in_map = PosePairs(pairs.stamps, pairs.estimate, compose(T_map_truth, pairs.truth))
     return AlignedTruth(in_map, T_map_truth, "fit" if fitted else "start")
+
+
+def _is_in_map(pairs: PosePairs, covariance: Array) -> bool:
+    """Return whether the first estimated and true poses agree within a covariance (3, 3)."""
+    error = pose_errors(pairs.estimate[:1], pairs.truth[:1])
+    values = nees(error, covariance[None] + START_RESOLUTION**2 * np.eye(3))
+    return bool(values[0] < MAX_START_NEES)  # not if the heading is unknown
 
 
 def accuracy_section(

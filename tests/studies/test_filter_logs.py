@@ -7,8 +7,9 @@ import pytest
 
 from impslam.evaluation.run_files import RecordedRun
 from impslam.geometry.se2 import inverse, transform
-from impslam.studies import filter_logs
+from impslam.studies import filter_logs, filter_table
 from impslam.studies.filter_logs import PARTS, RecordedData, errors, log_rows, measure
+from impslam.studies.filter_scores import score_filters
 from impslam.sweeps.job import Job
 
 SPEED, TURN, STEP, SECONDS = 0.2, 0.1, 0.1, 60.0
@@ -101,3 +102,17 @@ def test_without_a_true_heading_there_is_no_nees():
     found = errors(RecordedRun(np.nan_to_num(truth), np.tile(np.eye(3), (20, 1, 1))), truth, truth)
     assert math.isnan(found["nees"])
     assert found["nees_parts"] == []
+
+
+def test_a_log_whose_truth_has_no_headings_has_a_table_without_nees():
+    """As the car park and Victoria Park, whose truth is GPS."""
+    t = np.arange(100.0)
+    truth = np.column_stack((t, t, np.sin(t), np.full(100, np.nan)))
+    path = np.column_stack((truth[:, :3] + np.array([0.0, 5.0, 0.1]), np.zeros(100)))
+    row = errors(RecordedRun(path, np.tile(np.eye(3), (100, 1, 1))), truth, path)
+    given = {"world": "park", "variant": "ekf", "seed": 0, "error": "", "milliseconds": 1.0}
+    scores = score_filters([{**given, **row, "position2_at_checks": math.nan}], "park")
+    assert math.isnan(scores["ekf"].nees.value)
+    header = filter_table._table("park", scores).header
+    assert "position [m]" in header
+    assert "pose NEES" not in header

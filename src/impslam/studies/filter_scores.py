@@ -69,6 +69,9 @@ def _share(runs: Sequence[Row], part: str, whole: str) -> float:
 
 
 def _interval(values: Array, rng: np.random.Generator) -> MeanInterval:
+    """Return the mean of values (n,); NaN for n = 0, e.g. of NEES if the truth has no headings."""
+    if not len(values):
+        return MeanInterval(math.nan, math.nan, math.nan)
     means = resampled_means(values[:, None], rng)[:, 0]
     return MeanInterval(float(values.mean()), *np.quantile(means, [0.025, 0.975]).tolist())
 

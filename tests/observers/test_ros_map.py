@@ -133,6 +133,19 @@ def test_of_a_continued_map_the_drive_of_the_newest_log_is_written(tmp_path, sam
     assert len(topics["/path"][0][1].poses) == SCANS
 
 
+def test_of_a_drive_that_is_not_located_in_a_continued_map_only_the_map_is_written(tmp_path):
+    known, outcome = made_up()
+    keyframes, later = known.keyframes, int(known.anchors[20])
+    sessions, placed = keyframes.sessions.copy(), keyframes.placed.copy()
+    sessions[later:], placed[later:] = 1, False
+    known = replace(known, keyframes=replace(keyframes, sessions=sessions, placed=placed))
+    health = Health(*(column[20:] for column in outcome.health[:3]))
+    write_ros_map(tmp_path / "run.mcap", known, replace(outcome, health=health))
+    topics, latched = read(tmp_path / "run.mcap")
+    assert set(topics) == latched == {"/map", "/path", "/landmarks"}
+    assert len(topics["/path"][0][1].poses) == 20
+
+
 def test_stamps_that_run_backwards_or_repeat_are_put_in_order(tmp_path):
     known, outcome = made_up()
     stamps = known.stamps.copy()

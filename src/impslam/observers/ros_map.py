@@ -48,7 +48,7 @@ def write_ros_map(path: Path, known: Map, outcome: Outcome) -> None:
     stamps, poses, odometry = rows.stamps[at], rows.poses[at], rows.odometry[at]
     health = health_of(known, outcome.health)
     reasons, amounts = health.reasons, health.amounts
-    begin = float(stamps[0])
+    begin = float(stamps[0] if len(stamps) else rows.stamps.max())  # no scan of the log is located
     with McapFile(path) as file:
 
         def write(topic: str, stamp: float, message: RosMessage, latched: bool = False) -> None:
@@ -70,5 +70,5 @@ def write_ros_map(path: Path, known: Map, outcome: Outcome) -> None:
 def _chronological(stamps: Array) -> Ints:
     """Return the rows in order of the stamps (n,), only the last of equal ones, as tf2 requires."""
     order = np.argsort(stamps, kind="stable")
-    last = np.append(np.diff(stamps[order]) > 0.0, True)
+    last = np.diff(stamps[order], append=np.inf) > 0.0
     return np.asarray(order[last])

@@ -50,7 +50,7 @@ def found(graph, j, verdict=ClosureStrength.STRONG, off=(0.0, 0.0, 0.0), support
     """Return a closure of node j with the one a lap before, which lies at the same place."""
     pose = np.array(off, float)
     closure = Closure(pose, INFORMATION, support or SUPPORT[verdict], verdict, 0.9, -np.inf)
-    return PendingClosure(j - n, j, closure, SPACING * j)
+    return PendingClosure(j - n, j, closure, SPACING * j, 1.0)
 
 
 def taken(window, *rows, spread=1.0):
@@ -126,6 +126,16 @@ def test_the_smaller_the_common_area_the_more_closures_have_to_agree(matched, se
     graph, closer, _ = taken(WIDE, *rows[:-1])
     assert graph.closures == 0
     closer._accept(found(graph, *rows[-1]), graph, WIDE)
+    assert graph.closures == count
+
+
+@pytest.mark.parametrize(("share", "count"), [(0.5, 2), (0.33, 2), (0.3, 3), (0.16, 3)])
+def test_more_closures_have_to_agree_in_a_narrow_view(share, count):
+    """In a depth camera's 57 deg, a wall with a corner is all that there is to see of most rooms."""
+    graph, closer = lap(), LoopCloser(LoopSearch())
+    for k in range(count):
+        assert graph.closures == 0
+        closer._accept(found(graph, 20 + k)._replace(view_share=share), graph, WIDE)
     assert graph.closures == count
 
 

@@ -334,7 +334,7 @@ def test_a_closure_agrees_with_odometry_within_its_errors_across_a_break(rng):
         true = compose(compose(at[1], motion + error_of_motion), since)
         pose = between(at[0], true) + np.array(error_of_closure)
         closure = Closure(pose, along, SUPPORT, ClosureStrength.STRONG, 0.9, -np.inf)
-        return placer._agrees_with_odometry(PendingClosure(0, 3, closure, 0.0), graph)
+        return placer._agrees_with_odometry(PendingClosure(0, 3, closure, 0.0, 1.0), graph)
 
     noise = rng.multivariate_normal(np.zeros(3), P, 2000)
     of_closure = rng.multivariate_normal(np.zeros(3), np.linalg.inv(along), 2000)
@@ -363,7 +363,7 @@ def test_along_a_bare_corridor_no_place_is_recognised():
 def compared(offset, found, information=FIRM):
     """Return a comparison of a node with the map at its place by odometry."""
     closure = Closure(np.zeros(3), information, SUPPORT, ClosureStrength.STRONG, 0.9, -np.inf)
-    return Comparison(offset, PendingClosure(0, 9, closure, 0.0) if found else None)
+    return Comparison(offset, PendingClosure(0, 9, closure, 0.0, 1.0) if found else None)
 
 
 @pytest.mark.parametrize("least", [-1e-12, 0.0, 1e-12, 50.0])

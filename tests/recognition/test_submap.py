@@ -47,6 +47,16 @@ def test_nothing_beyond_the_maximum_range():
     assert np.hypot(near[:, 0], near[:, 1]).max() <= 2.1
 
 
+@pytest.mark.parametrize("degrees", [57, 180, 270])
+def test_share_of_the_directions_that_the_scans_see(degrees):
+    """The robot's turns do not widen the view of a scan."""
+    angles = regular_angles(4 * degrees, math.radians(degrees))
+    poses = np.array([[0.0, 0.0, 0.4 * k] for k in range(5)])
+    views = [view(cast(SQUARE, pose=pose, angles=angles).scan) for pose in poses]
+    share = gather(views, poses, ORIGIN, 0.05).view_share
+    assert share == pytest.approx(degrees / 360.0, abs=2.0 / BEARINGS)
+
+
 def test_vantages_are_where_the_lidar_was(rng):
     laser, pose, frame = np.array([0.3, 0.1, 0.4]), rng.normal(size=3), rng.normal(size=3)
     v = view(cast(SQUARE, laser=laser).scan)

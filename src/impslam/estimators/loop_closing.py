@@ -39,6 +39,9 @@ SAFE_WINDOW = 0.8  # m: so small a window contains only one place
 MIN_EVIDENCE = 2.5
 """Evidence of closures that agree: a strong and another one, three weak ones or ones without a position, or
 two that together have 1.25 times the common area of a strong one."""
+WIDE_VIEW = 0.5
+"""Share of all directions that the scans of a strong closure see: half, like a lidar of 180 deg. In a depth
+camera's 57 deg, many rooms look alike."""
 MAX_REACH, MIN_DISTANT_EVIDENCE = 16.0, 4.5
 """m, 3 sigma, by which the node may be off, and the same beyond: the true place may then be elsewhere, and
 look like the one found. Three strong closures are needed, or two and a weak one. In 3 of 10 simulated
@@ -100,12 +103,21 @@ class LoopSearch(Parameters):
 
 
 class PendingClosure(NamedTuple):
-    """A closure between nodes i and j that awaits confirmation, found after `distance` m."""
+    """A closure that awaits confirmation.
+
+    Attributes
+    ----------
+    i, j : nodes
+    closure : between them
+    distance : m driven to node j
+    view_share : mean share of all directions that a scan around node j sees
+    """
 
     i: int
     j: int
     closure: Closure
     distance: float
+    view_share: float
 
     @property
     def is_strong(self) -> bool:
@@ -114,14 +126,14 @@ class PendingClosure(NamedTuple):
 
     @property
     def evidence(self) -> float:
-        """What it contributes to `MIN_EVIDENCE`: 2 if strong, less in a small common area, at least 1.
+        """What it contributes to `MIN_EVIDENCE`: 2 if strong, less in a small area or view, at least 1.
 
         One without a position shows little more than a wall, and a parallel one looks alike.
         """
         support = self.closure.support
         if support.agreement < STRONG_SHARE or not self.closure.has_position:
             return 1.0
-        return max(1.0, 2.0 * min(1.0, support.size))
+        return max(1.0, 2.0 * min(1.0, support.size, self.view_share / WIDE_VIEW))
 
 
 class Comparison(NamedTuple):
@@ -189,7 +201,8 @@ class LoopCloser:
                 self._note(node, contradicts, closure)
             if closure is None:
                 continue
-            new = PendingClosure(u, node, closure, float(keys.distance[keys.nodes[node]]))
+            driven = float(keys.distance[keys.nodes[node]])
+            new = PendingClosure(u, node, closure, driven, query.view_share)
             if new.is_strong:
                 return self._accept(new, graph, window.x)
             weak = weak or new
@@ -259,7 +272,9 @@ class LoopCloser:
             differs = self.recogniser.outcome in ("no peak", "contradicted")
             return Comparison(float(offsets[u]) if differs else math.inf, None)
         driven = float(keys.distance[keys.nodes[node]])
-        return Comparison(float(offsets[u]), PendingClosure(u, node, closure, driven))
+        return Comparison(
+            float(offsets[u]), PendingClosure(u, node, closure, driven, query.view_share)
+        )
 
     def _query(self, node: int, keys: KeyframeLog) -> Submap | None:
         """Return the scans around a node as a submap."""

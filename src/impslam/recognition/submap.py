@@ -48,6 +48,11 @@ class Submap(NamedTuple):
     vantages: Array
     free: Floats
 
+    @property
+    def view_share(self) -> float:
+        """The mean share of all directions that one of the scans sees."""
+        return float((self.free > 0.0).mean())
+
 
 def view(scan: Scan) -> View:
     """Return the view of a scan, with features at least `FEATURE_SPACING` apart.

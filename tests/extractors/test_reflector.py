@@ -59,6 +59,15 @@ def test_a_beam_lost_on_a_reflector_does_not_cut_it():
     assert len(find(scan(5.0, [100, 102]))) == 1
 
 
+def test_a_beacon_across_the_ends_of_a_full_turn_is_one():
+    angles = np.radians(np.arange(0.0, 360.0))
+    beside, ahead = find(scan(5.0, [0, 1, 90, 358, 359], angles=angles))
+    assert ahead.beams.tolist() == [358, 359, 0, 1]
+    middle = math.radians(-0.5)
+    np.testing.assert_allclose(ahead.z, 5.0 * np.array([math.cos(middle), math.sin(middle)]))
+    assert beside.beams.tolist() == [90]
+
+
 def test_bright_walls_are_no_beacons():
     assert find(scan(5.0, range(100, 130))) == []  # 1.3 m
     assert len(find(scan(5.0, range(100, 130)), max_size=2.0)) == 1

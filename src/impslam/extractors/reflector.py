@@ -14,7 +14,7 @@ import numpy as np
 
 from impslam.component import parameter, register
 from impslam.extractors.base import Extractor
-from impslam.extractors.readings import usable
+from impslam.extractors.readings import in_beam_order, usable
 from impslam.geometry.angles import wrap
 from impslam.geometry.polar import to_cartesian
 from impslam.surfaces.features import beam_spacing
@@ -58,10 +58,22 @@ class Reflector(Extractor):
             bright = np.flatnonzero(usable(scan) & (scan.intensities >= self.threshold))
         if len(bright) == 0:
             return []
-        steps = np.hypot(*np.diff(scan.points[bright], axis=0).T)
-        groups = np.split(bright, np.flatnonzero(steps > self.max_gap) + 1)
         spacing = beam_spacing(scan.angles)
-        return [self._beacon(scan, beams, spacing) for beams in groups if self._fits(scan, beams)]
+        found = [
+            self._beacon(scan, beams, spacing)
+            for beams in self._groups(scan, bright)
+            if self._fits(scan, beams)
+        ]
+        return in_beam_order(found)
+
+    def _groups(self, scan: Scan, bright: Ints) -> list[Ints]:
+        """Return the bright beams of each reflector; that of a full turn may lie across its ends."""
+        points = scan.points[bright]
+        steps = np.hypot(*(points - np.roll(points, 1, axis=0)).T)
+        begins = np.flatnonzero(steps > self.max_gap)
+        if len(begins) == 0:
+            return [bright]
+        return np.split(np.roll(bright, -begins[0]), begins[1:] - begins[0])
 
     def _fits(self, scan: Scan, beams: Ints) -> bool:
         width = np.ptp(scan.points[beams], axis=0)

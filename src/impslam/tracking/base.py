@@ -15,7 +15,7 @@ from pydantic import PrivateAttr
 
 from impslam.columns import Motions, Sweeps
 from impslam.component import Component, parameter
-from impslam.geometry.algebra import rotate_covariance
+from impslam.geometry.algebra import between, rotate_covariance
 from impslam.geometry.chain import advance, advance_pose
 from impslam.geometry.kernels import kernel
 from impslam.health import (
@@ -98,11 +98,13 @@ class _Since(NamedTuple):
     ----------
     pose : (3,)
     drift, error : (3, 3) covariance of the errors that add up, and of the newest match
+    seconds : (1,) s, time since the newest reference
     """
 
     pose: Array
     drift: Array
     error: Array
+    seconds: Array
 
 
 class _Tracked(NamedTuple):
@@ -112,6 +114,24 @@ class _Tracked(NamedTuple):
     steps: Steps
     sweeps: Sweeps
     odometry: Array
+
+
+class _Stamps(NamedTuple):
+    """The stamps of m sweeps.
+
+    Attributes
+    ----------
+    motions, covariances : (m, 3), (m, 3, 3) from the middle of each sweep to its stamp
+    early : (m,) s by which the stamp is before the middle
+    durations : (m,) s from the middle of the previous sweep to that of each
+    reckoned : (m,) whether the pose at the middle is by dead reckoning
+    """
+
+    motions: Array
+    covariances: Array
+    early: Array
+    durations: Array
+    reckoned: Mask
 
 
 class Tracker(Component):
@@ -237,8 +257,7 @@ class Tracker(Component):
         T, spread, T_stamp, spread_stamp = _accumulate(
             self._since,
             Steps._make(column[part] for column in steps),
-            sweeps.T_middle_stamp[part],
-            sweeps.stamp_covariance[part],
+            self._stamps(motions.duration[part], sweeps, steps.reference, part),
         )
         elapsed = self._duration + np.cumsum(motions.duration[rows])
         for k, systematic in enumerate(self._systematic[rows]):
@@ -268,6 +287,16 @@ class Tracker(Component):
         )
         self._keyframes += has_keyframe
         return track
+
+    def _stamps(self, durations: Array, sweeps: Sweeps, reference: Mask, part: slice) -> _Stamps:
+        """Return the stamps of some rows, with the durations (r,) of the motions to them."""
+        return _Stamps(
+            sweeps.T_middle_stamp[part],
+            sweeps.stamp_covariance[part],
+            (sweeps.middles - sweeps.columns.stamps)[part],
+            durations,
+            ~reference[part] if self.matches_scans else np.ones(len(durations), np.bool_),
+        )
 
     def _add_systematic(self, errors: Array, d_pose: Array, covariance: Array) -> None:
         """Correct a motion (3,) by what is known of its systematic errors (3, k); widen its covariance."""
@@ -347,7 +376,7 @@ def mark_keyframes(moved: Array, duration: Array, due: Mask, gate: Gate) -> Mask
 
 
 def _nothing_since() -> _Since:
-    return _Since(np.zeros(3), np.zeros((3, 3)), np.zeros((3, 3)))
+    return _Since(np.zeros(3), np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(1))
 
 
 @kernel
@@ -363,9 +392,7 @@ def _dead_reckon(start: Array, d_pose: Array, T_middle_stamp: Array) -> tuple[Ar
 
 
 @kernel
-def _accumulate(
-    since: _Since, steps: Steps, T_middle_stamp: Array, stamp_covariance: Array
-) -> tuple[Array, Array, Array, Array]:
+def _accumulate(since: _Since, steps: Steps, stamps: _Stamps) -> tuple[Array, Array, Array, Array]:
     """Return m poses and covariances at the middles of sweeps, and at the stamps.
 
     Each motion follows the newest reference before it; `since` is the motion to the first of these, and
@@ -375,12 +402,32 @@ def _accumulate(
     poses, spreads = np.empty((m, 3)), np.empty((m, 3, 3))
     at_stamp, spreads_at_stamp = np.empty((m, 3)), np.empty((m, 3, 3))
     for k in range(m):
+        begin, spread = since.pose.copy(), since.drift + since.error
+        since.seconds[0] += stamps.durations[k]
+        seconds = since.seconds[0]
         if steps.reference[k]:
             since.error[:] = rotate_covariance(steps.error[k], since.pose[2])
             advance(since.pose, since.drift, steps.d_pose[k], steps.covariance[k])
+            since.seconds[0] = 0.0
         poses[k], spreads[k] = since.pose, since.drift + since.error
         if not steps.reference[k]:
             advance(poses[k], spreads[k], steps.d_pose[k], steps.covariance[k])
         at_stamp[k], spreads_at_stamp[k] = poses[k], spreads[k]
-        advance(at_stamp[k], spreads_at_stamp[k], T_middle_stamp[k], stamp_covariance[k])
+        advance(at_stamp[k], spreads_at_stamp[k], stamps.motions[k], stamps.covariances[k])
+        if stamps.reckoned[k] and 0.0 < stamps.early[k] <= seconds:
+            share = 1.0 - stamps.early[k] / seconds
+            _advance_to(begin, spread, at_stamp[k], share * steps.covariance[k])
+            spreads_at_stamp[k] = spread
     return poses, spreads, at_stamp, spreads_at_stamp
+
+
+@kernel
+def _advance_to(pose: Array, P: Array, end: Array, Q: Array) -> None:
+    """Compose pose (3,) and P (3, 3) with a motion of covariance Q (3, 3) to an end (3,), in place.
+
+    The path to a stamp before the middle of a sweep is a part of that to the middle: its errors would count
+    twice if it were the one to the middle and back.
+    """
+    motion = np.empty(3)
+    between(pose, end, motion)
+    advance(pose, P, motion, Q)

@@ -32,6 +32,14 @@ def test_the_mean_of_an_uncertain_turn_is_that_of_the_arc():
     assert P[1, 1] == pytest.approx(25.0 * 0.5 * (1.0 - e**4), rel=0.05)
 
 
+@pytest.mark.parametrize("sigma", [0.5, 2.0, 1000.0])
+def test_a_robot_at_rest_stays_as_uncertain_of_its_heading(sigma):
+    belief, P = UnscentedKalmanFilter(), np.diag([0.1, 0.2, sigma]) ** 2
+    belief.start(np.zeros(3), P, MODELS)
+    belief.predict(Increment(1.0, np.zeros(3), 1e-12 * np.eye(3), 1.0))
+    np.testing.assert_allclose(belief.covariance, P, rtol=1e-6, atol=1e-9)
+
+
 def both(rng, sigma):
     """Return an EKF and a UKF after the same drive, with noise told as sigma of the usual."""
     made = Ekf(), UnscentedKalmanFilter()

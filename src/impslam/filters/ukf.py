@@ -115,7 +115,7 @@ class UnscentedKalmanFilter(GaussianFilter):
         at = points(spread)
         pose = compose(belief.mean[:POSE], increment.d_pose)
         changes = compose(belief.mean[:POSE] + at[:, :POSE], increment.d_pose + at[:, POSE:]) - pose
-        changes[:, 2] = wrap(changes[:, 2])
+        changes[:, 2] = at[:, 2] + at[:, POSE + 2]  # beyond half a turn, too
         moved = Unscented.of(changes)
         noise = np.column_stack([moved.slopes[:, POSE:], moved.bends])
         belief.drive(_wrapped(pose + moved.shift), moved.slopes[:, :POSE], noise)

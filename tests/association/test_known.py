@@ -34,6 +34,13 @@ def test_a_label_read_twice_is_the_nearer_one_and_the_other_is_not_new():
     assert choice.new == ()
 
 
+def test_of_two_landmarks_of_a_label_that_was_read_twice_the_nearer_one_is_seen_again():
+    for places in (((1, 0), (3, 2)), ((3, 2), (1, 0))):
+        belief = mapped([point(ORIGIN, place, 7) for place in places])
+        choice = belief.associate((point(ORIGIN, (1, 0), 7),), Known())
+        assert pairs(choice) == {0: places.index((1, 0))}
+
+
 def test_a_gate_rejects_a_misread_label_that_is_not_new():
     belief = mapped([point(ORIGIN, (1, 0), 7), point(ORIGIN, (2, 0), 8)])
     seen = (point(ORIGIN, (1, 0), 7), point(ORIGIN, (50, 50), 8), point(ORIGIN, (3, 3), 9))

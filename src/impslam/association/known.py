@@ -12,7 +12,7 @@ from impslam.association.assignment import make_assignment
 from impslam.association.base import Assignment, Association, Hypotheses, Joint
 from impslam.component import parameter, register
 from impslam.geometry.chi_square import quantile
-from impslam.types import Observation
+from impslam.types import Array, Observation
 
 
 @register("known")
@@ -45,15 +45,17 @@ class Known(Association):
         labels_read = [observations[i].label for i in group.observations.tolist()]
         labels = np.array([-1 if label is None else label for label in labels_read], np.int64)
         labelled = (labels >= 0) & (labels == group.labels)
-        newest = {
-            int(group.observations[p]): int(group.landmarks[p]) for p in np.flatnonzero(labelled)
-        }
-        best: dict[int, int] = {}  # a label read twice belongs to the nearer observation
+        nearest: dict[int, int] = {}  # a new label that was read twice has two landmarks
         for p in np.flatnonzero(labelled).tolist():
-            k = int(group.landmarks[p])
-            if newest[int(group.observations[p])] == k:  # of several landmarks with its label
-                rival = best.get(k, p)
-                best[k] = min(p, rival, key=lambda q: (group.distance2[q], q))
+            _keep_nearer(nearest, int(group.observations[p]), p, group.distance2)
+        best: dict[int, int] = {}  # a label read twice belongs to the nearer observation
+        for p in nearest.values():
+            _keep_nearer(best, int(group.landmarks[p]), p, group.distance2)
         limit = quantile(self.gate, group.innovation.shape[-1])
         near = np.flatnonzero(labelled | (labels < 0)).tolist()
         return [p for p in best.values() if group.distance2[p] <= limit], near
+
+
+def _keep_nearer(pairs: dict[int, int], key: int, p: int, distance2: Array) -> None:
+    """Enter pair p under a key, unless another pair there is at least as near."""
+    pairs[key] = min(pairs.get(key, p), p, key=lambda q: (distance2[q], q))

@@ -6,7 +6,7 @@ compensation, the preset is told the truth, or an error is switched off in the s
 compensation in the preset.
 
 A Bayesian filter is consistent on average over its prior, not for each value of the constants. So the last
-case draws the constants of each run from the preset itself; see `drawn_from`.
+cases draw the constants of each run from the preset itself; see `drawn_from`.
 """
 
 from __future__ import annotations
@@ -92,6 +92,7 @@ def drawn_from(config: Config) -> SimulatedRobot:
 
 
 _SHIPPED = SimulatedRobot(truth_rate=ROBOT.truth_rate)
+_DRAWN = drawn_from(load("imp"))
 _EXACT = {"encoders": _NO_SLIP, "lidar": Lidar(bias_sigma=0.0, divergence=0.0)}
 CASES = (
     ConsistencyCase("as it is", _SHIPPED),
@@ -114,9 +115,10 @@ CASES = (
         (*_NO_SLIP_SETTINGS, *_FLAT_SETTINGS, "sensors.lidar.bias=0.0"),
         FILTERS[-1:],
     ),
+    ConsistencyCase("errors drawn from the preset", _DRAWN, _NOT_SIMULATED, FILTERS[-1:]),
     ConsistencyCase(
-        "errors drawn from the preset",
-        drawn_from(load("imp")),
+        "the same without IMU",
+        _DRAWN.model_copy(update={"imu": None}),
         _NOT_SIMULATED,
         FILTERS[-1:],
     ),

@@ -90,6 +90,21 @@ def test_a_state_has_text_icon_and_colour_and_only_problems_are_counted():
     assert "lost" not in troubled
 
 
+@pytest.mark.parametrize(
+    "problem",
+    [
+        "damaged scans",
+        "missed scans",
+        "malfunctions",
+        "interruptions",
+        "commands unanswered",
+        "gaps",
+    ],
+)
+def test_every_problem_that_a_device_counts_is_shown(problem):
+    assert f">{problem} 7<" in device_row("lidar", DeviceHealth("ok", "", {}, {problem: 7}, 0.0))
+
+
 @pytest.mark.parametrize(("number", "words"), [(1, "1 scan dropped"), (2, "2 scans dropped")])
 def test_dropped_scans_are_counted_in_words(number, words):
     row = mapper_row(replace(OFF, state="running", steps=number, dropped_scans=number))

@@ -36,10 +36,14 @@ STYLES = {
 LEVELS = {"info": "info", "warning": "warning", "error": "error"}
 HIDDEN_TYPES = {"DeviceTime", "Event"}
 """Messages about messages: their content is shown elsewhere."""
-PROBLEM_COUNTERS = re.compile(
-    "lost|corrupt|drop|late|repeat|bad|error|reopen|restart|reboot|skip|refus|timeout|unknown|cut"
+USUAL_COUNTERS = frozenset(
+    {
+        *("frames", "commands", "other sentences"),
+        # While a connection begins, and until then:
+        *("fragment", "before HELLO", "before the clock", "commands not sent"),
+    }
 )
-"""Counters to show: of what should not happen. The others are shown as rates."""
+"""Counters of what happens without a problem. All others are shown, except messages, which have a rate."""
 
 
 class HealthPanel:
@@ -93,7 +97,7 @@ def device_row(name: str, health: DeviceHealth) -> str:
     troubles = (
         f"{kind} {count}"
         for kind, count in health.counts.items()
-        if count and PROBLEM_COUNTERS.search(kind.lower())
+        if count and kind not in USUAL_COUNTERS and kind not in health.rates
     )
     return _row(name, health.state, rates, troubles, health.detail)
 

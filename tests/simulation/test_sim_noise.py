@@ -117,6 +117,13 @@ def test_perfect_gyro_sums_to_the_angle_and_accelerometer_measures_the_curve():
     np.testing.assert_allclose(forces, np.tile([0.0, 0.2, 9.80665], (len(times), 1)), atol=1e-9)
 
 
+def test_a_single_inertial_reading_is_that_of_a_standing_robot():
+    way, times = travelling(0.5, 0.4, 2.0), np.zeros(1)
+    rates, forces = inertial(InertialUnit.perfect(), way, times, np.random.default_rng(0))
+    np.testing.assert_array_equal(rates, [[0.0, 0.0, 0.0]])
+    np.testing.assert_array_equal(forces, [[0.0, 0.0, 9.80665]])
+
+
 def test_gyro_noise_and_bias():
     unit = InertialUnit.perfect(gyro_sigma=0.01, gyro_bias_sigma=0.1)
     still = travelling(0.0, 0.0, 10.0)

@@ -73,17 +73,17 @@ def inertial(
     """Return angular velocities (k, 3) and specific forces (k, 3) at times (k,) s, starting at 0.
 
     Each reading is the mean over the period that it ends, so that the gyro's readings add up to the angle
-    turned; the first one repeats the second.
+    turned; the first one repeats the second, or is that of a standing robot if it is the only one.
     """
     period = np.diff(times)
-    distance, turn = (np.diff(driven) for driven in trajectory.travel(times))
-    v, omega = distance / period, turn / period
+    means = (np.diff(driven) / period for driven in trajectory.travel(times))
+    v, omega = (np.append(mean[:1] if len(mean) else 0.0, mean) for mean in means)
     still = np.zeros_like(v)
+    acceleration = np.append(0.0, np.diff(v) / period)
     rates = np.column_stack([still, still, omega])
-    forces = np.column_stack([np.diff(v, prepend=v[:1]) / period, v * omega, still + unit.gravity])
+    forces = np.column_stack([acceleration, v * omega, still + unit.gravity])
     bias = rng.standard_normal((2, 3))
     noise = rng.standard_normal((2, len(times), 3))
-    rates, forces = np.vstack([rates[:1], rates]), np.vstack([forces[:1], forces])
     return (
         rates + unit.gyro_bias_sigma * bias[0] + unit.gyro_sigma * noise[0],
         forces + unit.accel_bias_sigma * bias[1] + unit.accel_sigma * noise[1],

@@ -81,6 +81,14 @@ def test_errors_in_the_robot_are_one_line(imp, tmp_path) -> None:
     for options, told in (
         (["--set", "lidar.rat=5"], "lidar.rat is not a parameter; did you mean 'rate'?"),
         (["--set", "lidar.rate=-5"], "lidar.rate = -5"),
+        (
+            ["--set", "lidar.rate=40"],
+            "a sweep of 682 beams takes 0.0665 s, longer than the 0.025 s",
+        ),
+        (
+            ["--set", "lidar.beams=1440"],
+            "a sweep of 1440 beams takes 0.141 s, longer than the 0.1 s",
+        ),
         (["--set", "lidar"], "expected key=value"),
         (["--set", "imu=off"], "imu = 'off': must be none or a table of parameters"),
         (["--robot", robot], "robot.toml: lidar.beam is not a parameter"),

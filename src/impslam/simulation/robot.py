@@ -9,6 +9,8 @@ from __future__ import annotations
 import math
 from typing import Any, Self
 
+from pydantic import model_validator
+
 from impslam.parameters import Parameters, parameter
 from impslam.simulation.world import Span
 
@@ -93,6 +95,17 @@ class Lidar(SimulatedDevice):
         math.radians(85), "rad", "angle of incidence beyond which there is no echo", gt=0.0
     )
     dropout: float = parameter(0.002, "1", "share of beams lost at random", ge=0.0, le=1.0)
+
+    @model_validator(mode="after")
+    def _check_sweep(self) -> Self:
+        """Raise if a sweep would begin before the previous one ends."""
+        sweep, period = (self.beams - 1) * self.beam_time, 1.0 / self.rate
+        if sweep > period:
+            raise ValueError(
+                f"a sweep of {self.beams} beams takes {sweep:.3g} s, longer than the {period:.3g} s from "
+                "sweep to sweep; reduce rate, beams or beam_time"
+            )
+        return self
 
     @classmethod
     def perfect(cls, **other: Any) -> Self:

@@ -20,8 +20,13 @@ def true_camera() -> CalibratedCamera:
     return CalibratedCamera(*SIZE_PX, vector, np.zeros((SIZE, SIZE)))
 
 
-def calibrated(rng: np.random.Generator, noise: float = 1.0, boards: int = 9) -> CameraCalibration:
-    """Calibrate the camera by boards and eight measured points."""
+def calibrated(
+    rng: np.random.Generator,
+    noise: float = 1.0,
+    boards: int = 9,
+    wrong: tuple[int, np.ndarray] | None = None,
+) -> CameraCalibration:
+    """Calibrate the camera by boards and seven measured points; `wrong` shifts one of them, m."""
     true = true_camera()
     border = np.array(
         [[40, 40], [640, 30], [1240, 40], [1250, 360], [1240, 680], [640, 690], [40, 680]]
@@ -29,6 +34,8 @@ def calibrated(rng: np.random.Generator, noise: float = 1.0, boards: int = 9) ->
     points = np.column_stack([true.on_plane(border.astype(float), 0.0), np.zeros(7)])
     pixels = true.project(points) + noise * PIXEL * rng.standard_normal((7, 2))
     points[:, :2] += noise * SURVEY * rng.standard_normal((7, 2))
+    if wrong is not None:
+        points[wrong[0]] += wrong[1]
     views = [board(true, k, noise, rng) for k in range(boards)]
     return calibrate(SIZE_PX, views, BoardView(points, pixels), SURVEY, np.full(7, PIXEL))
 

@@ -47,3 +47,22 @@ def test_points_on_a_line_or_too_few_are_rejected() -> None:
         view = BoardView(line[:number], seen[:number])
         with pytest.raises(ImpError, match=told):
             calibrate(SIZE_PX, [], view, SURVEY, np.full(number, PIXEL))
+
+
+# Without a board, a lens fits even most of an error of 5 cm; its covariance is large.
+@pytest.mark.parametrize(
+    ("boards", "shift", "numbers"), [(3, 0.05, range(7)), (0, 0.5, [0, 1, 2, 5, 6])]
+)
+def test_a_wrong_point_is_noticed_and_correct_ones_never(boards, shift, numbers) -> None:
+    for seed in range(20):
+        assert calibrated(np.random.default_rng(seed), boards=boards).odd_point is None
+    for number in numbers:
+        wrong = number, np.array([shift, 0.0, 0.0])
+        found = calibrated(np.random.default_rng(number), boards=boards, wrong=wrong)
+        assert found.odd_point is not None
+
+
+def test_the_point_that_deviates_most_is_the_wrong_one() -> None:
+    found = calibrated(np.random.default_rng(1), wrong=(1, np.array([0.3, 0.0, 0.0]))).odd_point
+    assert found is not None
+    assert abs(found[0] - true_camera().on_plane(np.array([[640.0, 30.0]]), 0.0)[0, 0] - 0.3) < 0.01

@@ -1,9 +1,12 @@
 """End to end: a simulated robot is filmed from 5 m with distortion, blur and noise, and tracked."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
 
+from impslam.cli.track import _show
 from impslam.errors import ImpError
 from impslam.evaluation.consistency import nees, pose_errors
 from impslam.overhead.boards import find_boards
@@ -97,6 +100,23 @@ def test_errors_for_unusable_videos_and_setups(filmed, tmp_path) -> None:
     ):
         with pytest.raises(ImpError, match=told):
             track(path, setup.model_copy(update=changed), video.parent, ignore)
+
+
+def test_a_board_in_pictures_of_another_size_than_the_video_is_refused(filmed, tmp_path) -> None:
+    setup = load_setup(filmed[0].with_suffix(".toml"))
+    for path in sorted((filmed[0].parent / setup.board.views).iterdir()):
+        picture = cv2.imread(str(path))
+        cv2.imwrite(str(tmp_path / path.name), cv2.resize(picture, None, fx=0.5, fy=0.5))
+    board = setup.board.model_copy(update={"views": str(tmp_path)})
+    with pytest.raises(ImpError, match="640 x 360 px, but the video has 1280 x 720 px"):
+        track(filmed[0], setup.model_copy(update={"board": board}), filmed[0].parent, ignore)
+
+
+def test_points_that_contradict_the_video_are_reported(filmed, tracked, capsys) -> None:
+    setup = load_setup(filmed[0].with_suffix(".toml"))
+    for point, expected in ((None, 0), (np.array([1.5, -2.0, 0.0]), 1)):
+        _show(replace(tracked, calibration=replace(tracked.calibration, odd_point=point)), setup)
+        assert capsys.readouterr().out.count("too small; most at x 1.5 m, y -2 m") == expected
 
 
 def test_the_simulated_camera_rejects_points_outside_its_view(tmp_path) -> None:

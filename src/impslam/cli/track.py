@@ -115,6 +115,12 @@ def _show(tracked: Tracked, setup: Setup) -> None:
     if tracked.unseen:
         facts["floor"] += f"; not seen: {', '.join(map(str, tracked.unseen))}"
     console.show_facts(facts)
+    if (odd := calibration.odd_point) is not None:
+        text = (
+            "they deviate from the video by more than floor.sigma explains, so the stated errors are too "
+            f"small; most at x {odd[0]:g} m, y {odd[1]:g} m: correct what is wrong, or increase floor.sigma"
+        )
+        console.show_finding("floor.points", text, harmful=True)
     for number, cylinder in enumerate(tracked.cylinders, 1):
         x, y = cylinder.centre
         sigma = 1e3 * float(np.sqrt(np.trace(cylinder.covariance)))

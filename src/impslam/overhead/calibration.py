@@ -18,6 +18,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from impslam.errors import ImpError
+from impslam.geometry.chi_square import quantile
 from impslam.overhead.camera import EXTRINSIC, LENS, CalibratedCamera, linearised, project
 from impslam.types import Array
 
@@ -25,6 +26,7 @@ INITIAL_SIGMA = 0.3  # px, of a board's corner, before it is estimated from the 
 ROUNDS = 3  # until the estimate of the corners' noise has converged
 MIN_WIDTH_RATIO = 0.05  # of width to length of the points' extent: less does not determine a pose
 MIN_POINTS = 4  # of a plane that determine a pose
+FIT_PROBABILITY = 0.9999  # with which correct measurements of the points fit
 
 
 class BoardView(NamedTuple):
@@ -43,12 +45,14 @@ class CameraCalibration:
     camera : the camera, with the covariance of its parameters
     board_rms, ground_rms : px, residuals per coordinate; NaN without a board
     views : number of views of the board
+    odd_point : the measured point (3,) m that deviates most, if the points do not fit within their noise
     """
 
     camera: CalibratedCamera
     board_rms: float
     ground_rms: float
     views: int
+    odd_point: Array | None
 
 
 def calibrate(
@@ -92,7 +96,8 @@ def calibrate(
     camera = CalibratedCamera(*size, x[:15], covariance)
     residuals = camera.project(ground.points) - ground.pixels
     ground_rms = math.sqrt(float(np.mean(residuals**2)))
-    return CameraCalibration(camera, corner if boards else math.nan, ground_rms, len(boards))
+    board_rms = corner if boards else math.nan
+    return CameraCalibration(camera, board_rms, ground_rms, len(boards), problem.odd_point(x))
 
 
 class _Problem:
@@ -142,15 +147,26 @@ class _Problem:
         free = sum(r.size for r in residuals) - 6 * len(residuals) - 9
         return math.sqrt(sum(float(np.sum(r**2)) for r in residuals) / max(free, 1))
 
+    def odd_point(self, x: Array) -> Array | None:
+        """Return the measured point (3,) m that deviates most, None if all fit within their noise.
+
+        Without a board, a wrong point distorts the lens instead, so the prior of the lens counts as well.
+        """
+        squares = np.sum(self._ground_residuals(x) ** 2, axis=1)
+        total, free = float(squares.sum()), 2 * len(squares) - 6
+        if not self._boards:
+            prior = self._prior_residuals(x)
+            total, free = total + float(prior @ prior), free + len(prior) - 9
+        if total <= quantile(FIT_PROBABILITY, free):
+            return None
+        return np.asarray(self._ground.points[np.argmax(squares)])
+
     def residuals(self, x: Array, corner: float) -> Array:
         """Return all residuals (r,), in standard deviations; `corner` is that of a corner, px."""
-        ground = project(x[:15], self._ground.points) - self._ground.pixels
-        parts = [(ground / self._ground_sigma(x)).ravel()]
+        parts = [self._ground_residuals(x).ravel()]
         for vector, view in zip(self._vectors(x), self._boards, strict=True):
             parts.append((project(vector, view.points) - view.pixels).ravel() / corner)
-        prior = (x[LENS] - self._lens) / self._prior_sigma
-        square = (x[6] - x[7]) / (0.01 * self._size[0])
-        return np.concatenate([*parts, prior, [square]])
+        return np.concatenate([*parts, self._prior_residuals(x)])
 
     def jacobian(self, x: Array, corner: float) -> Array:
         """Return the derivatives (r, n) of `residuals` by x (n,)."""
@@ -172,6 +188,16 @@ class _Problem:
     def _vectors(self, x: Array) -> list[Array]:
         """Return the camera vector of each board view, relative to the board's frame."""
         return [np.concatenate([x[begin : begin + 6], x[LENS]]) for begin in range(15, len(x), 6)]
+
+    def _ground_residuals(self, x: Array) -> Array:
+        """Return the residuals (n, 2) of the measured points, in standard deviations."""
+        ground = project(x[:15], self._ground.points) - self._ground.pixels
+        return np.asarray(ground / self._ground_sigma(x))
+
+    def _prior_residuals(self, x: Array) -> Array:
+        """Return the residuals (10,) of the prior of the lens, in standard deviations."""
+        square = (x[6] - x[7]) / (0.01 * self._size[0])
+        return np.append((x[LENS] - self._lens) / self._prior_sigma, square)
 
     def _ground_sigma(self, x: Array) -> Array:
         """Return the noise (n, 1) px of measured points, of their pixels and of the measurement."""

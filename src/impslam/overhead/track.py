@@ -67,10 +67,10 @@ def track(path: Path, setup: Setup, beside: Path, progress: Progress) -> Tracked
         marker.
     """
     with VideoFile(path) as video:
-        boards = _boards(setup, beside, progress)
+        size = video.width, video.height
+        boards = _boards(setup, size, beside, progress)
         stills = video.sample(STILLS)
         ground, sigma, unseen = _ground(stills, setup)
-        size = video.width, video.height
         calibration = calibrate(size, boards, ground, setup.floor.sigma, sigma)
         times, corners, hidden, doubled = _follow(video, setup, progress)
     if not len(times):
@@ -91,7 +91,9 @@ def track(path: Path, setup: Setup, beside: Path, progress: Progress) -> Tracked
     )  # fmt: skip
 
 
-def _boards(setup: Setup, beside: Path, progress: Progress) -> list[BoardView]:
+def _boards(
+    setup: Setup, size: tuple[int, int], beside: Path, progress: Progress
+) -> list[BoardView]:
     if setup.board is None:
         return []
     place = beside / setup.board.views
@@ -99,7 +101,14 @@ def _boards(setup: Setup, beside: Path, progress: Progress) -> list[BoardView]:
     progress("board", 0, len(pictures))
     views = []
     for number, picture in enumerate(pictures, 1):
-        views += find_boards([picture], setup.board)
+        found = find_boards([picture], setup.board)
+        height, width = picture.shape[:2]
+        if found and (width, height) != size:
+            raise ImpError(
+                f"{place}: has pictures of {width} x {height} px, but the video has {size[0]} x {size[1]} "
+                "px; take them with the settings of the video, as they change the lens"
+            )
+        views += found
         progress("board", number, len(pictures))
     if len(views) < 3:
         raise ImpError(

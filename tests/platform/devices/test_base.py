@@ -86,6 +86,19 @@ def test_a_lost_device_is_reopened_and_notified_once_per_reason(toy):
     assert toy._sessions == 4
 
 
+def test_alternating_reasons_of_a_loss_are_notified_once_each(toy):
+    got: list[Reading] = []
+    for _ in range(3):
+        toy._script.put(Toy.fail)
+        toy._script.put(Toy.break_down)
+    toy._script.put(lambda self: (self._ready("toy 1.0"), self.fail()))  # another loss
+    toy.start(got.append)
+    until(lambda: toy._sessions == 8 and toy.health().state == "ok")
+    texts = [reading.message.text for reading in got]
+    lost, bug = "/dev/toy: no such port; plug it in", "ZeroDivisionError: oops; please report it"
+    assert texts == [lost, bug, "toy 1.0", lost, "toy 1.0"]
+
+
 def test_each_loss_is_counted_but_not_the_attempts_to_reopen(toy):
     for _ in range(2):
         toy._script.put(lambda self: (self._ready("toy 1.0"), self.fail()))

@@ -98,6 +98,7 @@ class _Vitals:
     counts: Counter[str] = field(default_factory=Counter)
     recent: dict[str, deque[float]] = field(default_factory=dict)
     last: float = float("nan")
+    reasons: set[str] = field(default_factory=set)  # of losses, notified since it was open
 
 
 class Device(Component):
@@ -182,11 +183,13 @@ class Device(Component):
     def _report_loss(self, reason: str) -> None:
         """Count a loss, but not the attempts to open the device again; notify once per reason."""
         with self._vitals.lock:
-            before = self._vitals.state, self._vitals.detail
-        if before[0] != "lost":
+            lost = self._vitals.state == "lost"
+            known = reason in self._vitals.reasons  # two reasons may alternate
+            self._vitals.reasons.add(reason)
+        if not lost:
             self._count("lost connection")
         self._set_state("lost", reason)
-        if before != ("lost", reason):
+        if not known:
             self._notify("error", reason)
 
     def _set_state(self, state: State, detail: str) -> None:
@@ -199,6 +202,7 @@ class Device(Component):
         """Report that the device is open, with its description."""
         with self._vitals.lock:
             self._vitals.last = now()
+            self._vitals.reasons.clear()
         self._set_state("ok", detail)
         self._notify("info", detail)
 

@@ -134,6 +134,12 @@ def test_a_port_that_cannot_be_opened_is_a_one_line_error(url):
     assert "cannot be opened" in str(caught.value)
 
 
+@pytest.mark.parametrize("port", ["", ":", ":0", ":99999", ":scip"])
+def test_a_tcp_address_without_a_valid_port_is_explained(port):
+    with pytest.raises(DeviceError, match="give socket://HOST:PORT, with a port from 1 to 65535"):
+        open_port(f"socket://127.0.0.1{port}", 115200)
+
+
 def test_an_impossible_baud_rate_is_an_error(pty):
     with pytest.raises(DeviceError, match="cannot be opened"):
         open_port(pty[1], -1)

@@ -13,6 +13,7 @@ import os
 import select
 import socket
 import time
+import urllib.parse
 from collections.abc import Iterator
 from types import ModuleType
 from typing import TYPE_CHECKING
@@ -75,6 +76,7 @@ def open_port(url: str, baud: int) -> serial.SerialBase:
         If it cannot be opened; the message says what to do.
     """
     pyserial = extra("serial")
+    _check_url(url)
     try:
         port: serial.SerialBase = pyserial.serial_for_url(
             url, baudrate=baud, timeout=IO_TIMEOUT, write_timeout=IO_TIMEOUT, exclusive=True
@@ -144,6 +146,19 @@ def write_all(port: serial.SerialBase, data: bytes) -> None:
             left = left[os.write(port.fileno(), left) :]
     except (OSError, ValueError, TypeError) as error:  # pyserial's of a port closed meanwhile
         raise _device_error(port.port, "cannot be written to", error) from error
+
+
+def _check_url(url: str) -> None:
+    """Raise if the address of a TCP connection has no valid port; pyserial's message does not tell."""
+    if url.startswith("socket://"):
+        try:
+            if urllib.parse.urlsplit(url).port:
+                return
+        except ValueError:  # not a number, or too large
+            pass
+        raise DeviceError(
+            f"{url}: cannot be opened: give socket://HOST:PORT, with a port from 1 to 65535"
+        )
 
 
 def _disable_nagle(port: serial.SerialBase) -> None:

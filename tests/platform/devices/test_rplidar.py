@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 from tests.platform.devices.inbox import Inbox
 
 from impslam.component import build
@@ -329,3 +330,8 @@ def test_silence_on_the_line_is_explained():
 
 def test_it_is_registered_by_its_name():
     assert build("device", {"kind": "rplidar", "port": "/dev/imp-lidar"}).baud == 115200
+
+
+def test_a_motor_duty_above_its_maximum_is_refused():
+    with pytest.raises(ValidationError, match="less than or equal to 1023"):
+        RPLidar(pwm=65536)

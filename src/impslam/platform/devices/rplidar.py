@@ -99,7 +99,7 @@ class RPLidar(Device):
     mode: Literal["express", "standard"] = parameter(
         "express", "1", "express: twice the beams and a checksum; standard: firmware before 1.17"
     )
-    pwm: int = parameter(660, "1", "motor duty of A2 and A3, of 1023; 660: 10 Hz", ge=0)
+    pwm: int = parameter(660, "1", "motor duty of A2 and A3, of 1023; 660: 10 Hz", ge=0, le=1023)
     latency: float = parameter(
         0.0, "s", "delay from measuring to sending, without transmission", ge=0
     )

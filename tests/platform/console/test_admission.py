@@ -201,3 +201,14 @@ class TestSockets:
 def test_loaded_modules_are_frozen_for_the_garbage_collector(served):
     """A collection over all imported objects would delay commands by 0.1 s."""
     assert gc.get_freeze_count() > 100_000
+
+
+def test_garbage_of_pages_is_collected_although_commands_of_imp_seldom_do(tmp_path):
+    before = gc.get_threshold()
+    gc.set_threshold(1_000_000, 20, 20)  # as by `impslam.cli`
+    try:
+        with serving(tmp_path):
+            assert gc.get_threshold() == (700, 10, 10)
+        assert gc.get_threshold() == (1_000_000, 20, 20)
+    finally:
+        gc.set_threshold(*before)

@@ -32,6 +32,9 @@ from impslam.platform.console.tls import CertificateFiles, own_certificate
 
 GRACE = 1  # s for open requests to end when the server stops; sockets are closed at once
 KEEP_ALIVE = 15  # s that a connection stays open without a request
+GARBAGE_THRESHOLDS = (700, 10, 10)
+"""Python's defaults: closed pages and replaced elements are cyclic garbage. The commands of `imp` collect
+far less often, which suits short runs, but would leave hundreds of MB here."""
 
 Report = Callable[[str], None]
 
@@ -76,6 +79,7 @@ class Server(uvicorn.Server):
     ) -> None:
         super().__init__(config)
         self.authenticator, self.address, self._ready = authenticator, address, ready
+        self._thresholds = gc.get_threshold()
         self.beat: Callable[[], None] = lambda: None
 
     def stop(self) -> None:
@@ -87,6 +91,7 @@ class Server(uvicorn.Server):
         await super().startup(sockets)
         gc.collect()
         gc.freeze()  # later collections over all objects so far would delay the page by 0.1 s
+        gc.set_threshold(*GARBAGE_THRESHOLDS)
         self._ready()
 
     async def on_tick(self, counter: int) -> bool:
@@ -101,6 +106,7 @@ class Server(uvicorn.Server):
         self.authenticator.refusals.close()
         self.authenticator.close()
         gc.unfreeze()
+        gc.set_threshold(*self._thresholds)
         # Requests that are aborted now, after `GRACE`, are not errors.
         logging.getLogger("uvicorn.error").setLevel(logging.CRITICAL + 1)
         await super().shutdown(sockets)

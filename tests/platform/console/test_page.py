@@ -1,10 +1,13 @@
 """The page as a whole: offline, quiet, readable on a phone, and what its panels do."""
 
+import math
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 from urllib.parse import urlsplit
 
 import pytest
+from nicegui import Client, ui
 from playwright.sync_api import expect
 from tests.platform.console import browsing
 from tests.platform.console.browsing import until, visit
@@ -17,12 +20,14 @@ from impslam.platform.console.health_panel import (
     mapper_row,
     page_row,
 )
+from impslam.platform.console.log_panel import LogPanel
 from impslam.platform.console.mapping_panel import status_text
 from impslam.platform.console.page import STYLE
 from impslam.platform.console.replay_panel import controls
 from impslam.platform.console.robot_panels import alarms
 from impslam.platform.console.widgets import duration, size
 from impslam.platform.devices.base import DeviceHealth
+from impslam.platform.station.log_store import StoredLog
 from impslam.platform.station.mapper_status import OFF
 from impslam.platform.station.recorder import RecordingStatus
 from impslam.platform.station.station import StationHealth
@@ -295,6 +300,21 @@ def test_recording(browser, robot):
         page.get_by_test_id("record-name").fill("full")
         page.get_by_test_id("record").click()
         expect(page.get_by_text("the disk is full")).to_be_visible()
+
+
+def test_a_list_of_logs_is_only_rebuilt_if_it_shows_something_else():
+    """Buttons that are replaced every second while a log grows would lose clicks and the focus."""
+    viewer = SimpleNamespace(session=SimpleNamespace(may_drive=True))
+    with Client(ui.page("/logs"), request=None) as client:
+        panel = LogPanel(SimpleNamespace(logs=None), SimpleNamespace(store=None), viewer)
+    old = StoredLog("old.mcap", 2_000_000, 60.0, False, False, 12.0)
+    new = StoredLog("new.mcap", 1000, 120.0, True, False, math.nan)
+    panel._show([new, old], [])
+    before = set(client.elements)
+    panel._show([replace(new, size=5000, modified=121.0), old], [])
+    assert set(client.elements) == before
+    panel._show([replace(new, size=5000, modified=121.0, recording=False, duration=1.0), old], [])
+    assert set(client.elements) != before
 
 
 @pytest.mark.browser

@@ -65,7 +65,7 @@ class StoredPanel(Generic[S]):
         self._word, self._empty_text, self._read, self._store = word, empty_text, read, store
         self._viewer = viewer
         self._reading = False
-        self._shown: list[S] | None = None
+        self._rows: list[tuple[str, Sequence[str]]] | None = None
         self._binned: list[DeletedEntry] | None = None
         with card(f"{word.capitalize()}s", icon, f"{word}s"):
             self._list = tagged(ui.element("div").classes("list"), f"{word}s")
@@ -91,7 +91,7 @@ class StoredPanel(Generic[S]):
         raise NotImplementedError
 
     def add_buttons(self, one: S) -> None:
-        """Add the buttons of an entry, e.g. by `add_download_button` and `add_delete_button`."""
+        """Add the buttons of an entry, which depend on its name and facts only."""
         raise NotImplementedError
 
     def add_download_button(self, name: str, file: str) -> None:
@@ -119,23 +119,25 @@ class StoredPanel(Generic[S]):
         await self.update()
 
     def _show(self, stored: list[S], binned: list[DeletedEntry]) -> None:
-        if stored != self._shown:
-            self._shown = stored
-            self._fill()
+        # Only what is visible counts: a log that grows must not replace buttons while they are pressed.
+        rows = [(one.name, self.facts(one)) for one in stored]
+        if rows != self._rows:
+            self._rows = rows
+            self._fill(stored)
         if binned != self._binned:
             self._binned = binned
             self._fill_bin()
 
-    def _fill(self) -> None:
+    def _fill(self, stored: list[S]) -> None:
         self._list.clear()
         with self._list:
-            for one in (self._shown or [])[:MAX_ROWS]:
+            for one in stored[:MAX_ROWS]:
                 with _item(one.name, self.facts(one), f"stored-{self._word}"):
                     self.add_buttons(one)
-            if not self._shown:
+            if not stored:
                 ui.label(self._empty_text).classes("soft")
-            elif len(self._shown) > MAX_ROWS:
-                ui.label(f"and {len(self._shown) - MAX_ROWS} older ones").classes("soft")
+            elif len(stored) > MAX_ROWS:
+                ui.label(f"and {len(stored) - MAX_ROWS} older ones").classes("soft")
 
     def _fill_bin(self) -> None:
         binned, may = self._binned or [], self._viewer.session.may_drive

@@ -190,6 +190,12 @@ class TestMapsAndPicture:
             files = ["map.imp", "map.pgm", "report.html"]
             assert sorted(archive.namelist()) == [f"{folder}/{name}" for name in files]
 
+    def test_files_of_a_save_under_way_are_not_in_the_zip(self, tmp_path):
+        (tmp_path / "map.imp").write_bytes(b"map")
+        (tmp_path / ".map.imp.4711.part").write_bytes(b"ma")
+        with downloads._zipped(tmp_path) as file, zipfile.ZipFile(file) as archive:
+            assert archive.namelist() == [f"{tmp_path.name}/map.imp"]
+
     @pytest.mark.parametrize("name", ["linked.zip", "none.zip", "map-20260101-120000", ".zip"])
     def test_nothing_else_is_a_map(self, client, name):
         assert client.get(f"/maps/{name}").status_code == 404

@@ -159,11 +159,14 @@ class _FileEndpoints:
 
 
 def _zipped(folder: Path) -> IO[bytes]:
-    """Return a zip of the files of a folder, positioned at its beginning."""
+    """Return a zip of the files of a folder, positioned at its beginning.
+
+    Hidden files are left out: a save that is under way writes them, and removes them at its end.
+    """
     file = tempfile.SpooledTemporaryFile(MAX_MEMORY)  # noqa: SIM115  # closed once it is sent
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
         for path in sorted(folder.iterdir()):
-            if path.is_file() and not path.is_symlink():
+            if path.is_file() and not path.is_symlink() and not path.name.startswith("."):
                 archive.write(path, f"{folder.name}/{path.name}")
     file.seek(0)
     return file

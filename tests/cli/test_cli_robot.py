@@ -109,14 +109,18 @@ def test_a_password_typed_twice_must_be_the_same(imp, home, monkeypatch):
     assert not (home / "config").exists()
 
 
-def test_the_unit_starts_this_robot(imp, home):
+def test_the_unit_starts_this_robot(imp, home, monkeypatch):
     path = home / "robot.toml"
     path.write_text(ROBOT)
+    monkeypatch.chdir(home)
     said = imp("robot", "service", "-c", path, "--user", getpass.getuser(), "--port", "8443")
     assert said.code == 0, said.err
     start = next(line for line in said.out.splitlines() if line.startswith("ExecStart="))
     assert f'/imp" "robot" "-c" "{path}"' in start
     assert '"--port" "8443"' in start
+    # The service runs in that folder, where "logs" would be another one.
+    assert f'"--folder" "{home}/logs"' in start
+    assert f"WorkingDirectory={home}/logs" in said.out
     assert f"User={getpass.getuser()}" in said.out
 
 

@@ -175,9 +175,11 @@ def service(
     from impslam.platform.station.robot_file import load_robot
 
     chosen = load_robot(config)
-    program = Path(sys.executable).with_name("imp")
-    arguments = ["robot", "-c", str(config.resolve()), "--host", host, "--port", str(port)]
-    console.echo(unit(program, user or getpass.getuser(), chosen.folder.resolve(), arguments))
+    program, folder = Path(sys.executable).with_name("imp"), chosen.folder.resolve()
+    # The folder of the robot file may be relative to this folder; the service runs in another one.
+    arguments = ["robot", "-c", str(config.resolve()), "--folder", str(folder)]
+    arguments += ["--host", host, "--port", str(port)]
+    console.echo(unit(program, user or getpass.getuser(), folder, arguments))
 
 
 class Heartbeat:

@@ -56,6 +56,18 @@ def test_errors_are_one_line(write, text, complaint):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("preset", "found"),
+    [("mine.toml", "{folder}/mine.toml"), ("imp", "imp"), ("none.toml", "none.toml")],
+)
+def test_a_config_beside_the_robot_file_is_its_preset(write, tmp_path, preset, found):
+    """It is found from any folder; a service runs in that of the logs."""
+    for name in ("mine.toml", "imp"):  # the name of a preset has priority
+        (tmp_path / name).write_text('base = "imp"\n')
+    robot = load_robot(write(f'preset = "{preset}"\n{GOOD}'))
+    assert robot.preset == found.format(folder=tmp_path)
+
+
 def test_a_virtual_robot_needs_no_devices(write):
     """It has its own, whatever the file says of its name, limits and folder."""
     path = write('name = "imp-7"\nmax_speed = 0.3')

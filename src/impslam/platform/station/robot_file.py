@@ -17,6 +17,7 @@ from pydantic import ValidationError
 
 from impslam import toml
 from impslam.component import build, explain
+from impslam.config import presets
 from impslam.errors import ConfigError
 from impslam.parameters import Parameters, parameter
 from impslam.paths import read_text
@@ -29,7 +30,9 @@ class RobotFile(Parameters):
     """A robot's devices and its limits."""
 
     name: str = parameter("imp", "1", "the robot's name, on the page and in certificates")
-    preset: str = parameter("imp", "1", "preset or config of live mapping; stored in logs, too")
+    preset: str = parameter(
+        "imp", "1", "preset of live mapping, or a config beside this file; stored in logs, too"
+    )
     folder: Path = parameter(Path("logs"), "1", "where logs and maps are kept")
     max_speed: float = parameter(
         0.5, "m/s", "no command exceeds it: half of walking pace, stopped within 0.3 m", gt=0
@@ -66,4 +69,7 @@ def load_robot(path: Path, *, virtual: bool = False) -> RobotFile:
     if not (robot.devices or virtual):
         raise ConfigError(f"{path}: names no device; add a table such as [devices.lidar]")
     robot.make_devices()
+    beside = path.absolute().parent / robot.preset
+    if robot.preset not in presets() and beside.is_file():  # a service runs in another folder
+        return robot.model_copy(update={"preset": str(beside)})
     return robot

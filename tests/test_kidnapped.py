@@ -6,7 +6,7 @@ from tests.estimators.drives import ANGLES
 from tests.test_continuing import drive
 
 import impslam
-from impslam.geometry.se2 import compose, inverse
+from impslam.geometry.se2 import between, compose, inverse
 from impslam.health import ASSUMED, CHANGED, LOST, NONE, TRACKING
 
 __all__ = ["drive"]  # a fixture
@@ -39,6 +39,29 @@ def test_a_robot_that_is_carried_elsewhere_is_lost_and_found(drive):
     truth = compose(inverse(poses[0]), poses[rows])
     off = np.hypot(*(known.path()[:, 1:] - truth)[first:, :2].T)
     assert np.median(off) < 0.1
+
+
+@pytest.mark.parametrize(
+    ("left", "found", "seconds"),
+    [(600, 20, 5000.0), (600, 400, 5000.0), (450, 250, 1e6), (450, 250, -1e6)],
+    ids=["hour", "elsewhere", "days", "clock set"],
+)
+def test_a_second_drive_in_a_log_is_not_where_odometry_jumps_to(drive, left, found, seconds):
+    """It begins elsewhere, and its odometry at zero: the pose is right, or said to be in doubt."""
+    poses, ranges = drive
+    rows = np.r_[0:left, found : found + 120]
+    told = np.vstack((between(poses[0], poses[:left]), between(poses[found], poses[rows[left:]])))
+    stamps = 0.1 * np.arange(len(rows))
+    stamps[left:] += seconds
+    slam = impslam.Slam("default")
+    slam.add_odometry(stamps, told)
+    slam.add_scans(stamps, ranges[rows], ANGLES, range_max=20.0)
+    known = slam.finish()
+    off = np.hypot(*between(between(poses[0], poses[rows]), known.live_poses)[:, :2].T)
+    states = slam._run._health.health.states
+    assert (states[:left] == TRACKING).all()
+    assert (states[left : left + 20] != TRACKING).any()
+    assert off[states == TRACKING].max() < 0.2
 
 
 def test_the_map_of_a_robot_that_is_carried_before_it_drives_is_that_of_the_drive(drive, tmp_path):

@@ -18,6 +18,7 @@ from tests.tracking.test_scan_to_map import (
 )
 
 from impslam.noise import UNKNOWN
+from impslam.tracking.reach import RESTART_TIME
 from impslam.types import Increment
 
 GAP = 40  # the scan after it
@@ -50,6 +51,17 @@ def test_the_reach_is_three_standard_deviations_of_odometry():
 )
 def test_what_odometry_covers_leaves_no_doubt(covariance, seconds):
     assert not after_gap(covariance, seconds).reach.any()
+
+
+@pytest.mark.parametrize(
+    ("covariance", "expected"),
+    [(PATH_UNKNOWN, 3.0 * math.sqrt(2.0 * UNKNOWN)), (NOISE, 0.0)],
+    ids=["jump", "standstill"],
+)
+def test_odometry_may_begin_anew_in_a_minute(covariance, expected):
+    """Then what it reports is no motion, unless it reports none."""
+    out = after_gap(covariance, 2.0 * RESTART_TIME)
+    np.testing.assert_allclose(out.reach[GAP], [expected, math.pi * (expected > 0.0)])
 
 
 def test_a_match_along_a_wall_is_as_uncertain_as_odometry():

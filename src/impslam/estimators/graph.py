@@ -36,7 +36,7 @@ from impslam.geometry.se2 import compose, compose_uncertain
 from impslam.health import ELSEWHERE
 from impslam.landmarks.base import LandmarkModel
 from impslam.map import Keyframe, Map, Revision
-from impslam.noise import UNKNOWN
+from impslam.noise import LEAST_UNKNOWN, UNKNOWN
 from impslam.tracking.base import KeyframeGate
 from impslam.types import NO_COVARIANCE, Array, Edges, Increment, Landmark, Observation
 
@@ -156,7 +156,8 @@ class Graph(Estimator):
         start = compose(self._graph.poses[-1], self._since[0]) if len(self._graph) else self._start
         self._keys.add(keyframe, start)
         motion = None
-        if keyframe.reason == ELSEWHERE and is_finite(tracked):
+        is_known = is_finite(tracked) and tracked.covariance[0, 0] < LEAST_UNKNOWN
+        if keyframe.reason == ELSEWHERE and is_known:
             motion = compose_uncertain(*self._since, tracked.d_pose, tracked.covariance)
         self._sessions.begin(len(self._graph), motion)
         self._graph.add_root(self._keys.chain[-1], covariance)

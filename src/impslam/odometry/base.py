@@ -90,7 +90,7 @@ def add_path_uncertainty(covariance: Array, travel: Array, seconds: Array) -> No
 
     The end of a path is anywhere within its length from the start: half of it is one standard deviation.
     """
-    variance = np.where(seconds > MAX_GAP, 0.5 * travel, 0.0) ** 2
+    variance = np.where(seconds >= MAX_GAP, 0.5 * travel, 0.0) ** 2
     covariance[:, 0, 0] += variance
     covariance[:, 1, 1] += variance
 

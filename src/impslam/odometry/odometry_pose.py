@@ -11,7 +11,7 @@ from impslam.columns import Columns, Motions
 from impslam.component import parameter, register
 from impslam.geometry.se2 import between, exp, log
 from impslam.noise import MotionNoise
-from impslam.odometry.base import Odometry, diagonal, durations, mask_unknown
+from impslam.odometry.base import Odometry, add_path_uncertainty, diagonal, durations, mask_unknown
 from impslam.types import Array, Mask, OdometryPose
 
 
@@ -52,7 +52,9 @@ class OdometryPoses(Odometry):
         moved = d_pose.any(axis=1)
         variances = self.noise.variances(distances, d_pose[:, 2])
         variances += np.square(self.drift) * (seconds * moved)[:, None]
-        motions = Motions(readings.stamps[1:], d_pose, diagonal(variances), seconds)
+        covariance = diagonal(variances)
+        add_path_uncertainty(covariance, distances, seconds)
+        motions = Motions(readings.stamps[1:], d_pose, covariance, seconds)
         return mask_unknown(motions, distances <= self.max_speed * np.maximum(seconds, 0.2))
 
     def _calibrated(self, steps: Array) -> Array:

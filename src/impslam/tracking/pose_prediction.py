@@ -11,7 +11,7 @@ from impslam.noise import LEAST_UNKNOWN
 from impslam.tracking.frozen import remains_frozen
 from impslam.tracking.fusion import MAX_COAST, RATE_SIGMA, SPEED_SIGMA
 from impslam.tracking.learned_odometry import correct, variances
-from impslam.tracking.match_faults import is_slipping
+from impslam.tracking.match_faults import MAX_SPEED, is_slipping
 from impslam.tracking.matching_state import (
     DISTANCE,
     HEADING,
@@ -55,7 +55,9 @@ def predict(motions: Motions, k: int, state: State, d_pose: Array) -> bool:
     state.travelled[TURN] += abs(d_pose[2])
     state.travelled[SECONDS] += motions.duration[k]
     before = state.interval[0]
-    state.interval[0], state.interval[1] = motions.duration[k], motions.stamps[k] - state.stamp[0]
+    least = math.hypot(d_pose[0], d_pose[1]) / MAX_SPEED  # time has passed, whatever clocks say
+    state.interval[0] = max(motions.duration[k], least)
+    state.interval[1] = motions.stamps[k] - state.stamp[0]
     state.stamp[0] = motions.stamps[k]
     if not no_odometry:
         position, heading = variances(

@@ -65,6 +65,25 @@ def test_a_log_that_was_stopped_gives_the_map_of_the_whole_log(drive, whole, sto
     assert again.keyframes.sessions.max() == 0
 
 
+@pytest.mark.parametrize("stop", [157, 400])
+@pytest.mark.parametrize("in_log", [False, True], ids=["in the map", "in the log"])
+def test_scans_that_are_missing_do_not_make_another_log(drive, stop, in_log):
+    """A computer that is too slow drops scans while it maps, or while it records."""
+    some = np.random.default_rng(2).random(len(drive[0])) > 0.1
+    some[[0, stop - 1]] = True
+    rows = np.arange(len(some))
+    log = rows[some] if in_log else rows
+    before = rows[:stop] if in_log else rows[:stop][some[:stop]]
+    again = mapped(drive, log, known=mapped(drive, before))
+    expected = 0.1 * np.concatenate((before, log[log >= stop]))
+    np.testing.assert_allclose(again.stamps, expected)
+    assert again.keyframes.sessions.max() == 0
+    truth = between(drive[0][0], drive[0][np.rint(10.0 * again.stamps).astype(int)])
+    assert np.hypot(*(again.path()[:, 1:] - truth)[:, :2].T).max() < 0.05
+    steps = between(again.live_poses[:-1], again.live_poses[1:])
+    assert np.hypot(*steps[:, :2].T).max() < 0.6  # no jump where the log goes on
+
+
 def test_another_log_begins_a_session_that_is_found(drive, whole, tmp_path):
     file = whole.save(tmp_path / "ring.imp")
     rows = slice(170, 340)

@@ -24,7 +24,7 @@ from impslam.map import Map, Track
 from impslam.observers.base import Outcome
 from impslam.provenance import fingerprint
 from impslam.sources.base import Problems
-from impslam.types import Array
+from impslam.types import Array, Mask
 
 
 class KnownMap(NamedTuple):
@@ -80,8 +80,10 @@ class Continuation:
         self._awaits_keyframe = False  # the first one of a new session
         self._map = None if known is None else known.map
         self._frozen = known is not None and known.frozen
-        # the newest repeated keyframe: its scan among those of the log, and the motion to its stamp
-        self._newest: tuple[int, Array] | None = None
+        self._row = -1  # of the newest scan that is in the map, in its track
+        # that scan among those of the log, its pose relative to the newest repeated keyframe, and whether
+        # it is the scan of that keyframe
+        self._newest: tuple[int, Array, bool] | None = None
         self._T_known_newest: Array | None = None  # from the map's newest keyframe, if they differ
         if known is not None and not self._frozen:
             self._expect(known.map)
@@ -179,8 +181,16 @@ class Continuation:
 
     def _hold(self, track: Track) -> None:
         """Hold back a track whose scans are all in the map already, unless that is conclusive."""
-        if track.keyframe is not None:
-            self._newest = self._count - 1, track.keyframe.T_keyframe_stamp
+        keyframe, row = track.keyframe, self._row
+        if keyframe is not None and row == len(track.stamps):
+            self._newest = self._count - 1, keyframe.T_keyframe_stamp, True
+        elif keyframe is not None:  # it is not in the map
+            before = None if self._newest is None else self._newest[:2]
+            if row >= 0:
+                before = self._count - 1, track.T_anchor_base[row]
+            if before is not None:
+                scan, T = before
+                self._newest = scan, between(keyframe.motion.d_pose, T), False
         if not self._is_conclusive:
             self._held.append(track)
 
@@ -195,13 +205,40 @@ class Continuation:
         expected = self._stamps[self._count : self._count + len(stamps)]
         n = len(expected)
         is_same = stamps[:n] == expected
-        if n and self._start is not None:
-            moved = between(self._start, odometry[:n])
-            driven = self._odometry[self._count : self._count + n]
-            is_same &= (np.abs(between(driven, moved)) < ODOMETRY_TOLERANCE).all(axis=1)
+        if n:
+            is_same &= self._is_driven(odometry[:n], slice(self._count, self._count + n))
         count = len(is_same) if is_same.all() else int(np.argmin(is_same))
         self._count += count
+        self._row = count - 1
+        while count < len(stamps) and self._has(float(stamps[count]), odometry[count]):
+            if stamps[count] == self._stamps[self._count - 1]:
+                self._row = count
+            count += 1
         return count
+
+    def _is_driven(self, odometry: Array, at: slice) -> Mask:
+        """Return whether odometry (m, 3) is that of some scans of the map."""
+        assert self._start is not None  # that of the first scan
+        moved = between(self._start, odometry)
+        difference = np.abs(between(self._odometry[at], moved))
+        return np.asarray((difference < ODOMETRY_TOLERANCE).all(axis=1))
+
+    def _has(self, stamp: float, odometry: Array) -> bool:
+        """Return whether the map has a scan later than those so far, or one before and one after it.
+
+        Scans are missing in a map or in a log if a computer was too slow for them.
+        """
+        begin = self._count
+        later = self._stamps[begin:]
+        if begin == 0 or not len(later):
+            return False
+        at = begin + int(np.argmax(later == stamp))
+        if self._stamps[at] != stamp:
+            return bool(self._stamps[begin - 1] < stamp < later[0])
+        if not self._is_driven(odometry[None], slice(at, at + 1)).all():
+            return False
+        self._count = at + 1
+        return True
 
     def _decide(self, keyframes: int) -> None:
         """Continue the map's ids after the first `keyframes` keyframes, which are in the map already."""
@@ -233,15 +270,17 @@ class Continuation:
         return _cut(replace(track, anchor=track.anchor + self._id_shift, keyframe=keyframe), begin)
 
 
-def _from_newest(known: Map, scans: int, scan: int, T_keyframe_stamp: Array) -> Array | None:
-    """Return the motion (3,) from a map's newest keyframe to one of its last `scans` scans.
+def _from_newest(
+    known: Map, scans: int, scan: int, T_keyframe_stamp: Array, is_own: bool
+) -> Array | None:
+    """Return the motion (3,) from a map's newest keyframe to one of another gate.
 
-    The scan is a keyframe of another gate, whose stamp is at `T_keyframe_stamp` (3,). None if it is the
-    newest keyframe itself.
+    One of the last `scans` scans is at `T_keyframe_stamp` (3,) relative to that; `is_own` if it is the scan
+    of that keyframe. None if both are the same.
     """
     row, newest = len(known.stamps) - scans + scan, len(known.keyframes) - 1
     anchor = int(known.anchors[row])
-    if anchor == newest and known.keyframes.stamps[newest] == known.stamps[row]:
+    if is_own and anchor == newest and known.keyframes.stamps[newest] == known.stamps[row]:
         return None
     T = np.zeros(3)
     for k in range(anchor + 1, newest + 1):

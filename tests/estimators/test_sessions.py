@@ -307,6 +307,19 @@ def test_the_place_by_odometry_takes_two_closures(lap):
     assert off[cut:].max() < 0.1
 
 
+def test_odometry_without_any_error_does_not_keep_a_session_apart(lap):
+    """The robot stood at a node when its scans stopped fitting: that motion has no covariance."""
+    made = begun(AGAIN[0])
+    driven(made, lap)
+    nodes = made._keys.nodes
+    cut = int(nodes[nodes > len(way(*LAP))][0]) + 1
+    stood = broken(lap[cut])
+    stood = replace(stood, motion=replace(stood.motion, covariance=np.zeros((3, 3))))
+    revisions = driven(begun(AGAIN[0]), [*lap[:cut], stood, *lap[cut + 1 :]])
+    assert not np.all(revisions[cut].placed)
+    assert np.all(revisions[-1].placed)
+
+
 def test_a_wrong_place_by_odometry_is_not_recognised(lap):
     """Wheels spun for 3 m: the robot is found in the known area, where it is."""
     cut = len(way(*LAP))

@@ -158,7 +158,8 @@ class Graph(Estimator):
         motion = None
         is_known = is_finite(tracked) and tracked.covariance[0, 0] < LEAST_UNKNOWN
         if keyframe.reason == ELSEWHERE and is_known:
-            motion = compose_uncertain(*self._since, tracked.d_pose, tracked.covariance)
+            spread = tracked.covariance + _MIN_COVARIANCE  # 0 if the robot stands
+            motion = compose_uncertain(*self._since, tracked.d_pose, spread)
         self._sessions.begin(len(self._graph), motion)
         self._graph.add_root(self._keys.chain[-1], covariance)
         self._since = np.zeros(3), np.zeros((3, 3))

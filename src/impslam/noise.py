@@ -19,6 +19,9 @@ LEAST_UNKNOWN = 0.5 * UNKNOWN
 MAX_GAP = 3.0
 """s between two readings or two sweeps; after a longer gap the robot's path is unknown."""
 
+MIN_BREAK = 600.0
+"""s; a longer gap is likely to be that between two drives. The robot may have been carried meanwhile, and
+its odometry may begin at 0 again, so that a jump may be no motion. If it stands still, it has gone on."""
 
 BIAS_CORRELATION_TIME = 20.0
 """s; where the error of a gyro's bias is taken as random, the variance of the turn grows per second as if

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from tests.odometry_steps import StepwiseOdometry
 
-from impslam.noise import MAX_GAP, MotionNoise
+from impslam.noise import MAX_GAP, MIN_BREAK, MotionNoise
 from impslam.odometry.odometry_pose import OdometryPoses
 from impslam.types import OdometryPose
 
@@ -18,9 +18,11 @@ def motion_over(seconds, x=4.0):
     return odometry.update(OdometryPose(1.0 + seconds, np.array([x, 0.0, 0.0])))
 
 
-@pytest.mark.parametrize(("seconds", "sigma"), [(0.5 * MAX_GAP, 0.0), (2.0 * MAX_GAP, 2.0)])
-def test_the_path_within_a_gap_is_unknown(seconds, sigma):
-    """As for wheels: half of the distance between both poses is one standard deviation."""
+@pytest.mark.parametrize(
+    ("seconds", "sigma"), [(2.0 * MAX_GAP, 0.0), (0.5 * MIN_BREAK, 0.0), (2.0 * MIN_BREAK, 2.0)]
+)
+def test_a_jump_over_a_break_may_be_no_motion(seconds, sigma):
+    """Half of the distance between both poses is one standard deviation; a shorter gap adds nothing."""
     covariance = motion_over(seconds).covariance
     np.testing.assert_allclose(covariance, np.diag([sigma, sigma, 0.0]) ** 2, atol=1e-12)
 

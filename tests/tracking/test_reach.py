@@ -17,8 +17,7 @@ from tests.tracking.test_scan_to_map import (
     straight,
 )
 
-from impslam.noise import UNKNOWN
-from impslam.tracking.reach import RESTART_TIME
+from impslam.noise import MIN_BREAK, UNKNOWN
 from impslam.types import Increment
 
 GAP = 40  # the scan after it
@@ -58,9 +57,9 @@ def test_what_odometry_covers_leaves_no_doubt(covariance, seconds):
     [(PATH_UNKNOWN, 3.0 * math.sqrt(2.0 * UNKNOWN)), (NOISE, 0.0)],
     ids=["jump", "standstill"],
 )
-def test_odometry_may_begin_anew_in_a_minute(covariance, expected):
+def test_odometry_may_begin_anew_in_a_break(covariance, expected):
     """Then what it reports is no motion, unless it reports none."""
-    out = after_gap(covariance, 2.0 * RESTART_TIME)
+    out = after_gap(covariance, 2.0 * MIN_BREAK)
     np.testing.assert_allclose(out.reach[GAP], [expected, math.pi * (expected > 0.0)])
 
 

@@ -85,12 +85,15 @@ def durations(readings: Columns) -> Array:
     return np.maximum(stamps[1:] - stamps[:-1], 0.0)
 
 
-def add_path_uncertainty(covariance: Array, travel: Array, seconds: Array) -> None:
-    """Add the uncertainty of travels (m,) m with unknown paths over long gaps to `covariance` (m, 3, 3).
+def add_path_uncertainty(
+    covariance: Array, travel: Array, seconds: Array, longest: float = MAX_GAP
+) -> None:
+    """Add the uncertainty of travels (m,) m with unknown paths to `covariance` (m, 3, 3).
 
-    The end of a path is anywhere within its length from the start: half of it is one standard deviation.
+    Those are unknown that took more than `longest` s. The end of a path is anywhere within its length from
+    the start: half of it is one standard deviation.
     """
-    variance = np.where(seconds >= MAX_GAP, 0.5 * travel, 0.0) ** 2
+    variance = np.where(seconds > longest, 0.5 * travel, 0.0) ** 2
     covariance[:, 0, 0] += variance
     covariance[:, 1, 1] += variance
 

@@ -10,7 +10,7 @@ import numpy as np
 from impslam.columns import Columns, Motions
 from impslam.component import parameter, register
 from impslam.geometry.se2 import between, exp, log
-from impslam.noise import MotionNoise
+from impslam.noise import MIN_BREAK, MotionNoise
 from impslam.odometry.base import Odometry, add_path_uncertainty, diagonal, durations, mask_unknown
 from impslam.types import Array, Mask, OdometryPose
 
@@ -53,7 +53,8 @@ class OdometryPoses(Odometry):
         variances = self.noise.variances(distances, d_pose[:, 2])
         variances += np.square(self.drift) * (seconds * moved)[:, None]
         covariance = diagonal(variances)
-        add_path_uncertainty(covariance, distances, seconds)
+        # The robot integrates its path between two readings, unless it was switched off.
+        add_path_uncertainty(covariance, distances, seconds, MIN_BREAK)
         motions = Motions(readings.stamps[1:], d_pose, covariance, seconds)
         return mask_unknown(motions, distances <= self.max_speed * np.maximum(seconds, 0.2))
 

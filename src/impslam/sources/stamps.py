@@ -7,13 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
+from impslam.noise import MIN_BREAK
 from impslam.sources.parts import Piece, by_stream
 from impslam.types import Array, Ints, Mask
 
 MIN_GAP = 10.0  # s; at walking pace a robot may then be in another room, beyond any gate
-MIN_BREAK = 600.0
-"""s; a longer gap is likely to be that between two drives. The robot may have been carried meanwhile, and
-its odometry may begin at 0 again, which the run takes for motion."""
 
 
 class StampCheck:

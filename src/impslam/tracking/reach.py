@@ -10,17 +10,13 @@ import math
 
 from impslam.geometry.kernels import kernel
 from impslam.map import REACH_SIGMAS
-from impslam.noise import UNKNOWN
+from impslam.noise import MIN_BREAK, UNKNOWN
 from impslam.tracking.frozen import MIN_SECONDS
 from impslam.tracking.fusion import RATE_SIGMA
 from impslam.tracking.hypotheses import MAX_SLIP
 from impslam.tracking.intervals import is_gap
 from impslam.tracking.match_faults import WINDOW
 from impslam.tracking.matching_state import HEADING, POSITION, State
-
-RESTART_TIME = 60.0
-"""s in which a computer restarts, and a robot is carried away. What odometry reports after a longer gap may
-be no motion, but a new beginning: the robot may be anywhere. Odometry that stands still has gone on."""
 
 
 @kernel
@@ -40,7 +36,8 @@ def widen_after_gap(state: State, before: float, no_odometry: bool) -> None:
     """Widen the prior and set the reach if the newest interval is a gap of more than a slip.
 
     Odometry's covariance tells how far the robot may be from the predicted pose. Without odometry, it may
-    have gone on at its last speed, in any direction; `before` is the last interval in s.
+    have gone on at its last speed, in any direction; `before` is the last interval in s. If another drive
+    may have begun, what odometry reports may be no motion, and the robot may be anywhere.
     """
     if not is_after_gap(state):
         return
@@ -59,6 +56,6 @@ def widen_after_gap(state: State, before: float, no_odometry: bool) -> None:
         state.reach[HEADING] = min(REACH_SIGMAS * math.sqrt(heading), math.pi)
         state.prior[POSITION] = max(state.prior[POSITION], position)
         state.prior[HEADING] = max(state.prior[HEADING], heading)
-        if seconds > RESTART_TIME:
+        if seconds > MIN_BREAK:
             state.reach[POSITION] = REACH_SIGMAS * math.sqrt(2.0 * UNKNOWN)
             state.reach[HEADING] = math.pi

@@ -119,6 +119,15 @@ def test_the_far_side_of_a_thin_wall_is_no_match():
     assert support(front, behind).matched < 0.05
 
 
+def test_the_far_side_of_a_long_shelf_is_no_match():
+    """Most of it is seen obliquely, so that its normals have no weight; they still tell the sides apart."""
+    wall = walls([-12.0, 0.0, 12.0, 0.0])
+    front = seen(wall, way(-1.0, -1.2, 1.0, -1.2))
+    behind = seen(wall, way(-1.0, 1.2, 1.0, 1.2))
+    assert support(front, front).matched == 1.0
+    assert support(front, behind).matched < 0.05
+
+
 def test_frames_do_not_matter(rng):
     reference, query = seen(OFFICE), seen(OFFICE, way(0.0, -0.3, 2.0, 0.2), seed=1)
     found = support(reference, query)

@@ -241,7 +241,9 @@ def _match(known: SurfaceMap, features: Features, pose: Array, moved: Array, mat
         surfel = known.surfels[k]
         along = c * (features[i, 2] * surfel[2] + features[i, 3] * surfel[3])
         along += s * (features[i, 2] * surfel[3] - features[i, 3] * surfel[2])
-        if along < MIN_NORMAL_COSINE and features[i, 4] > 0.0 and surfel[5] > 0.0:
+        are_known = features[i, 4] > 0.0 and surfel[5] > 0.0
+        # Normals without weight are inaccurate, but still on the lidar's side.
+        if along < (MIN_NORMAL_COSINE if are_known else -MIN_NORMAL_COSINE):
             continue
         matched[i] = (x - surfel[0]) ** 2 + (y - surfel[1]) ** 2 < MATCH_DISTANCE * MATCH_DISTANCE
         count += matched[i]

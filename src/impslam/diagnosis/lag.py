@@ -1,8 +1,9 @@
 """Estimate by how much the stamps of scans are late on the clock of odometry.
 
 The turn from sweep to sweep by the laser, T_k, is that of odometry over the same time, R, shifted by the
-lag: T_k = p (R(t_k - lag) - R(t_k-1 - lag)) + q S_k, with S_k the distance by odometry. A lag is visible
-where turns begin and end: the derivative by it is the change of the turn rate from one sweep to the next.
+lag: T_k = p (R(t_k - lag) - R(t_k-1 - lag)) + q S_k + r (t_k - t_k-1), with S_k the distance by odometry. A
+lag is visible where turns begin and end: the derivative by it is the change of the turn rate from one sweep
+to the next. A constant turn rate fits at any lag: r leaves p undetermined then.
 """
 
 from __future__ import annotations
@@ -99,7 +100,7 @@ def _rms(A: Array, turns: Array) -> float:
 
 
 def _rows(odometer: Odometer, before: Array, after: Array) -> Array:
-    """Return (m, 3): the derivative by the lag, the turn, and the distance by odometry."""
+    """Return (m, 4): the derivative by the lag, the turn and the distance by odometry, and the time."""
     half = 0.5 * RATE_INTERVAL
     times = before, after, before - half, before + half, after - half, after + half
     sums = odometer.at(np.concatenate(times)).reshape(len(times), -1, 3)
@@ -107,4 +108,4 @@ def _rows(odometer: Odometer, before: Array, after: Array) -> Array:
     motion = end - begin
     begin_rate = (begin_high - begin_low)[:, 2] / RATE_INTERVAL
     end_rate = (end_high - end_low)[:, 2] / RATE_INTERVAL
-    return np.column_stack((end_rate - begin_rate, motion[:, 2], motion[:, 0]))
+    return np.column_stack((end_rate - begin_rate, motion[:, 2], motion[:, 0], after - before))

@@ -111,19 +111,12 @@ def test_what_the_reference_never_saw_has_no_effect():
     assert found.agreement > 0.95
 
 
-def test_the_far_side_of_a_thin_wall_is_no_match():
-    wall = walls([-3.0, 0.0, 3.0, 0.0])
-    front = seen(wall, way(-1.0, -1.0, 1.0, -1.0))
-    behind = seen(wall, way(-1.0, 1.0, 1.0, 1.0))
-    assert support(front, front).matched == 1.0
-    assert support(front, behind).matched < 0.05
-
-
-def test_the_far_side_of_a_long_shelf_is_no_match():
-    """Most of it is seen obliquely, so that its normals have no weight; they still tell the sides apart."""
-    wall = walls([-12.0, 0.0, 12.0, 0.0])
-    front = seen(wall, way(-1.0, -1.2, 1.0, -1.2))
-    behind = seen(wall, way(-1.0, 1.2, 1.0, 1.2))
+@pytest.mark.parametrize(("half", "y"), [(3.0, 1.0), (12.0, 1.2)])
+def test_the_far_side_of_a_thin_wall_is_no_match(half, y):
+    """Most of a long one is seen obliquely: its normals have no weight, but still tell the sides apart."""
+    wall = walls([-half, 0.0, half, 0.0])
+    front = seen(wall, way(-1.0, -y, 1.0, -y))
+    behind = seen(wall, way(-1.0, y, 1.0, y))
     assert support(front, front).matched == 1.0
     assert support(front, behind).matched < 0.05
 

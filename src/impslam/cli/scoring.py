@@ -47,7 +47,6 @@ LANDMARK_FRAMES: dict[Alignment, str] = {
 }
 """How the true landmarks are aligned with the map."""
 
-
 MAX_INTERPOLATION = 0.5
 """Share of a path's error up to which that of the interpolated truth hardly counts: it adds 13 %, because
 the squares of independent errors add."""

@@ -23,6 +23,7 @@ from impslam.evaluation.trajectory import (
     start_frame,
     statistics,
 )
+from impslam.geometry.chi_square import GATE_3D_999
 from impslam.geometry.se2 import compose, inverse
 from impslam.observers.history import History
 from impslam.observers.page import ChartLine, chart, escape, section, table, tiles
@@ -37,8 +38,6 @@ CHARTS = (
 
 START_RESOLUTION = 1e-4
 """m and rad: accuracy to which a truth in the map frame contains the start of the run."""
-MAX_START_NEES = 16.27
-"""Chi-square of three degrees of freedom that 0.1 % exceed."""
 NOTES = {
     "map": "It is given in the map frame.",
     "start": "It is aligned with the map at the first pose, to which the covariances refer.",
@@ -83,7 +82,7 @@ def _is_in_map(pairs: PosePairs, covariance: Array) -> bool:
     """Return whether the first estimated and true poses agree within a covariance (3, 3)."""
     error = pose_errors(pairs.estimate[:1], pairs.truth[:1])
     values = nees(error, covariance[None] + START_RESOLUTION**2 * np.eye(3))
-    return bool(values[0] < MAX_START_NEES)  # not if the heading is unknown
+    return bool(values[0] < GATE_3D_999)  # not if the heading is unknown
 
 
 def accuracy_section(

@@ -50,7 +50,7 @@ def test_noise_is_that_of_the_true_distance():
 def test_a_long_silence_is_not_driven_through():
     odometry = StepwiseOdometry(Velocities(max_hold=2.0))
     odometry.update(Velocity(1.0, 0.5, 0.0))
-    with pytest.raises(MessageError, match=r"no velocity for 5 s before 6\.000 s.*max_hold"):
+    with pytest.raises(MessageError, match=r"no velocity for 5\.0 s before 6\.000 s.*max_hold"):
         odometry.update(Velocity(6.0, 0.25, 0.0))
     assert odometry.update(Velocity(7.0, 0.0, 0.0)).d_pose[0] == pytest.approx(0.25)
 

@@ -113,7 +113,7 @@ def gap_message(readings: Columns, what: str) -> str:
     """Return the message for a gap that is too long for a reading to be valid until the next one."""
     last, stamp = map(float, readings.stamps[-2:])
     return (
-        f"no {what} for {stamp - last:.3g} s before {stamp:.3f} s; the motion in between is "
+        f"no {what} for {stamp - last:.1f} s before {stamp:.3f} s; the motion in between is "
         "ignored: check the log, or raise odometry.max_hold"
     )
 

@@ -158,6 +158,6 @@ class Encoders(Odometry):
             )
         travel = np.abs(self._travels(readings)).max()
         return (
-            f"a wheel jumps by {travel:.3g} m in {durations(readings)[-1]:.3g} s at {stamp:.3f} s; "
+            f"a wheel jumps by {travel:.2f} m in {durations(readings)[-1]:.2f} s at {stamp:.3f} s; "
             "its motion is ignored: check the encoder, or raise odometry.max_speed"
         )

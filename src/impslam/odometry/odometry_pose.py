@@ -75,8 +75,8 @@ class OdometryPoses(Odometry):
             return f"odometry pose {pose} at {stamp:.3f} s is not finite; it is left out"
         (step,) = _steps(readings)
         return (
-            f"odometry jumps by {math.hypot(step[0], step[1]):.3g} m in "
-            f"{durations(readings)[-1]:.3g} s at {stamp:.3f} s; "
+            f"odometry jumps by {math.hypot(step[0], step[1]):.2f} m in "
+            f"{durations(readings)[-1]:.2f} s at {stamp:.3f} s; "
             "the jump is left out: check the odometry, or raise odometry.max_speed"
         )
 

@@ -70,7 +70,7 @@ def _unusable(columns: Columns, placed: PlacedRows) -> Reports:
         return []
     first = int(np.argmax(wrong))
     text = (
-        f"the stamp {columns.stamps[first]:.7g} s of {columns.stream} contradicts the order of the log "
+        f"the stamp {columns.stamps[first]:.3f} s of {columns.stream} contradicts the order of the log "
         f"at {placed.times[first]:.3f} s; such rows are used in file order, and no motion is lost"
     )
     return [(int(columns.order[first]), UNUSABLE, text, int(wrong.sum()))]

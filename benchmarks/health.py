@@ -30,6 +30,7 @@ from benchmarks.random_buildings import nominal, random_robot, random_world
 
 from impslam.columns import Motions, Sweeps, batches
 from impslam.config import Config, load
+from impslam.geometry.chi_square import GATE_3D_99, GATE_3D_999
 from impslam.geometry.se2 import between, compose, inverse
 from impslam.health import ELSEWHERE, LOST, NONE, TRACKING, UNEXPLAINED, Health
 from impslam.map import Keyframe, Map, PathRows, Revision, Track
@@ -57,7 +58,6 @@ SWEEPS_AFTER = 1000  # sweeps after a kidnapping: 100 to 200 s
 MAPPED_RADIUS = 1.5  # m: poses this close to the previous path are in mapped surroundings
 SECONDS = 10.0  # of a fault
 MAX_ERROR = 0.5  # m: a pose with a larger error and no report is a silent failure
-CHI2_99, CHI2_999 = 11.34, 16.27  # three degrees of freedom, exceeded by 1 % and 0.1 %
 KIDNAPPED = (
     *("kidnapped in", "runs", "first scan suspected", "LOST within 1 s", "median / worst"),
     *("found again", "after", "wrongly", "off after / before", "scans that entered the map"),
@@ -331,8 +331,8 @@ def fail(task: tuple[Path, str, str, int]) -> Faulty:
         float((states[begin : begin + rows] != TRACKING).mean()),
         float(off[begin:].max()),
         float(at_end),
-        float((chi2[tracking] < CHI2_99).mean()),
-        int((tracking & (off > MAX_ERROR) & (chi2 > CHI2_999)).sum()),
+        float((chi2[tracking] < GATE_3D_99).mean()),
+        int((tracking & (off > MAX_ERROR) & (chi2 > GATE_3D_999)).sum()),
     )
 
 

@@ -33,6 +33,7 @@ import numpy as np
 
 from impslam.evaluation.trajectory import associate, ate
 from impslam.geometry.angles import wrap
+from impslam.geometry.chi_square import GATE_3D_99
 from impslam.geometry.se2 import between, compose
 from impslam.health import LOST, TRACKING, Health
 from impslam.map import Keyframe, Map, PathRows, Revision, Track
@@ -44,7 +45,6 @@ from impslam.simulation.world import World
 from impslam.sources.recording import McapWriter
 from impslam.types import Array, TruePose
 
-CHI2_99 = 11.34  # three degrees of freedom
 TURN_ACCELERATION = 15.0  # rad/s^2, of robots that turn fast: a turn begins within a sweep
 CLEARANCE = 0.55  # m from the middle of the robot's path to furniture
 LIDARS = {
@@ -322,7 +322,7 @@ def _calibration(live: Live, states: dict[float, int], truth: Array) -> tuple[in
     error = poses - expected
     error[:, 2] = wrap(error[:, 2])
     chi2 = np.einsum("ki,kij,kj->k", error, np.linalg.inv(covariances), error)
-    return len(rows), int((chi2 <= CHI2_99).sum())
+    return len(rows), int((chi2 <= GATE_3D_99).sum())
 
 
 def main() -> None:

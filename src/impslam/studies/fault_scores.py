@@ -12,6 +12,7 @@ from impslam.diagnosis.diagnose import initial_findings
 from impslam.diagnosis.finding import worst_fault
 from impslam.errors import ImpError, in_a_line
 from impslam.evaluation.consistency import nees, pose_errors
+from impslam.geometry.chi_square import GATE_3D_99, GATE_3D_999
 from impslam.health import TRACKING, Health
 from impslam.map import Keyframe, Map, PathRows, Revision, Track
 from impslam.observers.base import Observer, Outcome
@@ -24,8 +25,6 @@ MAX_SILENT = 1.0
 """s of silent scans within which a fault should be detected."""
 MAX_LIMIT, LIMIT_FACTOR = 0.5, 5.0
 """m, and multiple of the worst error of the clean run: a pose with a larger error is wrong."""
-CHI2_99, CHI2_999 = 11.34, 16.27
-"""Chi-square of three degrees of freedom that 1 % and 0.1 % exceed."""
 REFERENCE_COVARIANCE = np.diag(np.array([0.02, 0.02, 0.005]) ** 2)
 """m, m, rad, squared: accuracy of the refined path of a clean run."""
 MIN_LIMIT = 0.05
@@ -152,7 +151,7 @@ def score(drive: RecordedDrive, limit: float, usual: frozenset[str], *, exact: b
         return {"verdict": "said", "said": in_a_line(error), "seconds": seconds}
     off, squares = errors(run, drive, exact=exact)
     tracking = run.health.states == TRACKING
-    wrong, outside = off > limit, squares > CHI2_999
+    wrong, outside = off > limit, squares > GATE_3D_999
     silent = wrong & outside & tracking
     notes = run.notes - usual
     return {
@@ -162,7 +161,7 @@ def score(drive: RecordedDrive, limit: float, usual: frozenset[str], *, exact: b
         "off_refined": _worst(run.refined - drive.truth[run.rows]),
         "scans": len(off),
         "tracking": int(tracking.sum()),
-        "inside": int((tracking & (squares < CHI2_99)).sum()),
+        "inside": int((tracking & (squares < GATE_3D_99)).sum()),
         "wrong": int(wrong.sum()),
         "silent": int(silent.sum()),
         "silent_seconds": float(silent.sum() * drive.period),

@@ -53,6 +53,13 @@ def test_few_fixes_over_a_short_distance_are_not_enough():
     assert refuse(np.array([12.0, -9.0, 0.0]), count=MIN_FIXES - 1) is None
 
 
+def test_a_stationary_robot_stores_one_refused_fix():
+    refused, fix = RefusedFixes(), Observation("gps", np.array([9.0, 4.0]), np.eye(2))
+    for step in np.linspace(0.0, 0.05, 100):
+        assert refused.refuse(np.array([1.0 + step, 2.0]), fix, frame()) is None
+    assert len(refused) == 1
+
+
 def test_an_unconfirmed_frame_is_removed():
     assert refuse(np.array([12.0, -9.0, 0.2]), marks=1).frame_is_wrong
 

@@ -26,6 +26,9 @@ from impslam.types import Array, Landmark, Observation
 
 MIN_FIXES = 8  # leave 13 degrees of freedom for the test
 MIN_SPAN = 10.0  # standard deviations driven, as `sensors.gps` requires for a course
+MIN_STEP = (
+    0.1  # standard deviations between fixes: those of a stationary robot would fill the memory
+)
 AGREEMENT = 0.99  # quantile of the test
 
 
@@ -48,12 +51,17 @@ class RefusedFixes:
     def __init__(self) -> None:
         self._fixes: list[_Refused] = []
 
+    def __len__(self) -> int:
+        return len(self._fixes)
+
     def accept(self) -> None:
         """Forget them, because a fix was used."""
         self._fixes.clear()
 
     def refuse(self, antenna: Array, fix: Observation, frame: Landmark) -> PoseError | None:
         """Add a refused fix, with the antenna at (2,) in map; return the pose's error once they agree."""
+        if self._fixes and not _has_moved(antenna, self._fixes[-1]):
+            return None
         self._fixes.append(_Refused(antenna.copy(), fix.z, fix.R))
         while len(self._fixes) > MIN_FIXES and _spans(self._fixes[1:]):
             del self._fixes[0]
@@ -68,6 +76,12 @@ class RefusedFixes:
         heading = wrap(turn - frame.parameters["yaw"])
         covariance = np.diag([error @ error, error @ error, float(heading) ** 2])
         return PoseError(covariance, frame.observations <= 1)
+
+
+def _has_moved(antenna: Array, fix: _Refused) -> bool:
+    """Return whether the antenna at (2,) has moved by `MIN_STEP` standard deviations since a fix."""
+    sigma = math.sqrt(np.trace(fix.R) / 2.0)
+    return bool(np.hypot(*(antenna - fix.position)) >= MIN_STEP * sigma)
 
 
 def _spans(fixes: Sequence[_Refused]) -> bool:

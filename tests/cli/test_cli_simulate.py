@@ -89,6 +89,8 @@ def test_errors_in_the_robot_are_one_line(imp, tmp_path) -> None:
             ["--set", "lidar.beams=1440"],
             "a sweep of 1440 beams takes 0.141 s, longer than the 0.1 s",
         ),
+        (["--set", "lidar.angle_step=0"], "682 beams with an angle_step of 0 rad cover 0 rad"),
+        (["--set", "lidar.angle_step=0.0175"], "cover 11.9 rad; they must cover more than 0"),
         (["--set", "lidar"], "expected key=value"),
         (["--set", "imu=off"], "imu = 'off': must be none or a table of parameters"),
         (["--robot", robot], "robot.toml: lidar.beam is not a parameter"),

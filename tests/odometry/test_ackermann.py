@@ -156,6 +156,6 @@ def test_wild_readings_are_refused_and_do_not_hold(speed, angle, why):
 def test_a_silence_is_no_motion():
     car = StepwiseOdometry(Ackermann(wheelbase=WHEELBASE))
     car.update(Steering(0.0, 5.0, 0.0))
-    with pytest.raises(MessageError, match="no speed and steering for 10.0 s"):
+    with pytest.raises(MessageError, match=r"no speed and steering for 10\.0 s"):
         car.update(Steering(10.0, 5.0, 0.0))
     assert car.update(Steering(10.1, 5.0, 0.0)).d_pose[0] == pytest.approx(0.5)

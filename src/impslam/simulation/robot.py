@@ -98,12 +98,18 @@ class Lidar(SimulatedDevice):
 
     @model_validator(mode="after")
     def _check_sweep(self) -> Self:
-        """Raise if a sweep would begin before the previous one ends."""
+        """Raise if a sweep would begin before the previous one ends, or see a direction twice."""
         sweep, period = (self.beams - 1) * self.beam_time, 1.0 / self.rate
         if sweep > period:
             raise ValueError(
                 f"a sweep of {self.beams} beams takes {sweep:.3g} s, longer than the {period:.3g} s from "
                 "sweep to sweep; reduce rate, beams or beam_time"
+            )
+        view = (self.beams - 1) * abs(self.angle_step)
+        if not 0.0 < view <= 2.0 * math.pi + 1e-6:
+            raise ValueError(
+                f"{self.beams} beams with an angle_step of {self.angle_step:.6g} rad cover {view:.3g} rad; "
+                "they must cover more than 0 and at most a full turn, 6.28 rad"
             )
         return self
 

@@ -1,5 +1,6 @@
 """Systematic errors of odometry, from the config to the keyframes and poses."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -33,6 +34,16 @@ class Parts(Observer):
 
     def revise(self, keyframe, revision, path):
         self.parts.append(keyframe.motion.systematic)
+
+
+class Keyframes(Observer):
+    """Stores the keyframes."""
+
+    def __init__(self):
+        self.keyframes = []
+
+    def revise(self, keyframe, revision, path):
+        self.keyframes.append(keyframe)
 
 
 @cache
@@ -161,3 +172,21 @@ def test_a_clean_drive_begins_sound(seed, tmp_path):
         for message in simulate(load_world("arena"), SimulatedRobot(), seed):
             writer.write(message)
     assert find_log_fault(*open_log(log, "imp")) == NO_FAULT
+
+
+@pytest.mark.parametrize("pause", [500.0, 1e5])
+def test_the_bias_of_the_gyro_does_not_count_during_a_pause_of_the_log(pause):
+    """The wheels turn on for 15 s. In 1e5 s, a clock was set: the gyro's time line has no gap there."""
+    messages = list(simulate(load_world("arena"), SimulatedRobot(), 0))
+    begin, end = messages[0].stamp + 30.0, messages[0].stamp + 45.0
+    drive = [m for m in messages if m.stamp < begin]
+    drive += [replace(m, stamp=m.stamp + pause) for m in messages if m.stamp >= end]
+    seen = Keyframes()
+    known = Run(load("imp"), [seen]).play(drive)
+    across = next(keyframe.motion for keyframe in seen.keyframes if keyframe.stamp >= begin)
+    assert 0.02 < np.sqrt(across.covariance[2, 2]) < 0.2  # the wheels' error of half a turn
+    assert across.systematic is not None
+    assert across.systematic.errors[:, 2:] == pytest.approx(0.0)
+    assert sorted(mark.kind for mark in known.landmarks) == 4 * ["corner"] + 3 * [
+        "cylinder"
+    ] + 4 * ["wall"]

@@ -60,7 +60,8 @@ STATIONARY_HEADING = 14  # at the start of that time
 WHEEL_VARIANCE = 15  # of the wheels' turns, per second
 PENDING_TURN, PENDING_TIME = 16, 17  # of the interval at rest before that; 0 if there is none
 PATH_COVARIANCE = 18  # of the wheels' paths and turns, per second
-STATE_SIZE = 19
+MOTION_STAMP = 19  # of the end of the last motion
+STATE_SIZE = 20
 
 
 class Gyro(Parameters):
@@ -123,7 +124,7 @@ class GyroFusion:
         """
         self._gyro = gyro
         self._state = np.zeros(STATE_SIZE)
-        self._state[[STAMP, RATE, LAST_HEADING, STATIONARY_HEADING]] = np.nan
+        self._state[[STAMP, RATE, LAST_HEADING, STATIONARY_HEADING, MOTION_STAMP]] = np.nan
         self._state[BIAS_VARIANCE] = gyro.bias**2
         self._state[CHI2_UNRELATED] = 2.0 * MIN_EVIDENCE if gyro.proven else 0.0
         wheels = considered or SystematicErrors(0.0, 0.0)
@@ -148,8 +149,8 @@ class GyroFusion:
     ) -> tuple[Motions, list[Disagreement], Array]:
         """Return the motions with corrected turns, and where wheels and gyro disagree.
 
-        Also return the share (m,) of the gyro in each turn, and the standard deviation of its bias, rad/s,
-        0 without readings: (m, 2).
+        Also return the share (m,) of the gyro in each turn, NaN if it did not measure the turn, and the
+        standard deviation of its bias, rad/s, 0 without readings: (m, 2).
 
         Parameters
         ----------
@@ -395,7 +396,10 @@ def _correct(
             j += 1
         before, state[LAST_HEADING] = state[LAST_HEADING], _heading(state, stamps[k])
         turn = state[LAST_HEADING] - before
-        if not (math.isnan(d_pose[k, 0]) or math.isnan(turn)) and durations[k] > 0.0:
+        elapsed, state[MOTION_STAMP] = stamps[k] - state[MOTION_STAMP], stamps[k]
+        if math.isnan(turn) or durations[k] - elapsed > MAX_GAP:  # a gap, or a clock that was set
+            shares[k, 0] = math.nan
+        elif not math.isnan(d_pose[k, 0]) and durations[k] > 0.0:
             shares[k, 0] = _fuse(
                 state, d_pose[k], covariance[k], durations[k], turn, noise, disagreement[k]
             )

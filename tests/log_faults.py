@@ -201,6 +201,23 @@ def wrapping(at: float) -> Change:
     )
 
 
+def restarted(after: float) -> Change:
+    """Begin the counters of the wheels anew, as when their computer restarts `after` s from the start."""
+    offsets: dict[str, float] = {}
+
+    def change(c: Columns) -> Columns:
+        offsets.setdefault("stamp", c["stamp"][0] + after)
+        late = c["stamp"] >= offsets["stamp"]
+        values = {}
+        for side in ("left", "right"):
+            if late.any():
+                offsets.setdefault(side, c[side][late][0])
+            values[side] = c[side] - np.where(late, offsets.get(side, 0.0), 0.0)
+        return with_values(c, **values)
+
+    return of(WheelAngles, change)
+
+
 # --------------------------------------------------------------------------- odometry
 
 

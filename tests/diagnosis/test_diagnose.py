@@ -141,6 +141,12 @@ def findings(drive) -> Callable[[str], list[Finding]]:
     return of
 
 
+def test_counters_that_began_anew_do_not_wrap(drive) -> None:
+    assert "encoder wraps" not in {
+        one.kind for one in found(list(faults.faulty(drive, faults.restarted(30.0))))
+    }
+
+
 def test_a_laser_behind_the_axle_is_reported_behind_it() -> None:
     assert ahead_of("the axle", 0.1, 0.002) == "0.100 ± 0.002 m ahead of the axle"
     assert ahead_of("the axle", -0.064, 0.0) == "0.064 ± 0.001 m behind the axle"

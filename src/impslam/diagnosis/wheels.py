@@ -20,6 +20,7 @@ MIN_JUMP_RATIO = 5.0
 """Ratio of the smallest jump to the largest step in the rest of the log."""
 SIZE_TOLERANCE = 0.02
 """Share by which an estimated wrap may differ from a common one and still be rounded to it."""
+_NO_JUMPS = 0.0, 0
 
 
 def check_wrap(e: Evidence) -> Iterator[Finding]:
@@ -27,22 +28,22 @@ def check_wrap(e: Evidence) -> Iterator[Finding]:
     if not isinstance(e.odometry, Encoders) or not e.recording.odometry:
         return
     found = [
-        _wrap(np.concatenate([np.asarray(c[side]) for c in e.recording.odometry]), e.odometry.wrap)
+        _jumps(np.concatenate([np.asarray(c[side]) for c in e.recording.odometry]), e.odometry.wrap)
         for side in ("left", "right")
     ]
-    size = max(found)
-    if size > 0.0:
-        wrap = _common_wrap(size, e.odometry.per_turn)
+    size, count = max(found)
+    wrap = _common_wrap(size, e.odometry.per_turn)
+    if count > 1 or wrap:  # a single jump of another size is that of a counter that began anew
         yield Finding(
             "encoder wraps",
             f"readings of the wheels jump by {size:.6g} and continue: they wrap",
-            (f"odometry.wrap={wrap:.9g}",),
+            (f"odometry.wrap={wrap or size:.9g}",),
             MAX_PROBABILITY,
         )
 
 
-def _wrap(readings: Array, wrap: float) -> float:
-    """Return the size of the jumps of readings (n,) that `wrap` does not explain; 0 if there are none."""
+def _jumps(readings: Array, wrap: float) -> tuple[float, int]:
+    """Return size and number of the jumps of readings (n,) that `wrap` does not explain; 0 without any."""
     readings = readings[np.isfinite(readings)]
     steps = np.diff(readings)
     if wrap:
@@ -50,23 +51,23 @@ def _wrap(readings: Array, wrap: float) -> float:
     span = float(np.ptp(readings)) if len(steps) else 0.0
     jumps = np.abs(steps) > MIN_JUMP * span
     if not span or not jumps.any() or jumps.mean() > 0.1:
-        return 0.0
+        return _NO_JUMPS
     low, high = np.percentile(readings, [10.0, 90.0])
     if high - low < MIN_FILLED * span:  # single outliers
-        return 0.0
+        return _NO_JUMPS
     rest = steps[~jumps]
     if not len(rest) or np.abs(steps[jumps]).min() < MIN_JUMP_RATIO * np.abs(rest).max(initial=0.0):
-        return 0.0
+        return _NO_JUMPS
     before = np.interp(np.flatnonzero(jumps), np.flatnonzero(~jumps), rest)
     sizes = np.abs(steps[jumps] - before)
     alike = np.ptp(sizes) <= SIZE_TOLERANCE * sizes.mean() + 2.0 * float(
         np.abs(rest).max(initial=0.0)
     )
-    return float(np.median(sizes)) if alike else 0.0
+    return (float(np.median(sizes)), len(sizes)) if alike else _NO_JUMPS
 
 
-def _common_wrap(size: float, per_turn: float) -> float:
-    """Return the common wrap (a power of two, one turn, ...) close to a size, or the size itself."""
+def _common_wrap(size: float, per_turn: float) -> float | None:
+    """Return the common wrap (a power of two, one turn, ...) close to a size, if there is one."""
     common = [2.0**bits for bits in range(8, 33)] + [per_turn, 2.0 * math.pi, 360.0, 5.0, 10000.0]
     nearest = min(common, key=lambda one: abs(one - size))
-    return nearest if abs(nearest - size) <= SIZE_TOLERANCE * size else size
+    return nearest if abs(nearest - size) <= SIZE_TOLERANCE * size else None

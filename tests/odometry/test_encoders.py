@@ -130,13 +130,27 @@ def test_the_path_within_a_gap_is_unknown():
     assert np.mean(inside) > 0.97
 
 
-def test_half_a_second_is_no_gap():
-    motions = []
-    for seconds in (0.1, 0.5):
+@pytest.mark.parametrize("seconds", [0.5, 1.0, 2.0])
+def test_the_bend_of_a_path_between_two_readings_is_in_its_covariance(seconds):
+    """The turn rate changes by 2/3 rad/s^2 (1 sigma): the robot leaves its line, and returns to it."""
+    rng, speed, n = np.random.default_rng(1), 0.3, 200
+    times = (np.arange(n) + 0.5) * seconds / n
+    odometry = Encoders(wheel_radius=0.05, track=0.4, wheel_noise=0.0, slip={"sideways": 0.0})
+    steps = StepwiseOdometry(odometry)
+    steps.update(WheelAngles(0.0, 0.0, 0.0))
+    motion = steps.update(WheelAngles(seconds, *2 * [speed * seconds / 0.05]))
+    bends = 0.5 * np.outer(2.0 / 3.0 * rng.standard_normal(4000), times * (seconds - times))
+    across = speed * seconds * np.sin(bends).mean(axis=1)
+    assert np.std(across) == pytest.approx(math.sqrt(motion.covariance[1, 1]), rel=0.05)
+
+
+def test_readings_at_a_usual_rate_leave_no_room_for_a_bend():
+    variances = []
+    for seconds in (0.02, 0.1):
         steps = StepwiseOdometry(Encoders(wheel_radius=0.05, track=0.4))
         steps.update(WheelAngles(0.0, 0.0, 0.0))
-        motions.append(steps.update(WheelAngles(seconds, 4.0, 4.0)).covariance)
-    np.testing.assert_array_equal(*motions)
+        variances.append(steps.update(WheelAngles(seconds, 4.0, 4.0)).covariance[1, 1])
+    assert variances[1] == pytest.approx(variances[0], rel=0.01)
 
 
 def test_a_jump_is_left_out_and_the_next_increment_is_sound():

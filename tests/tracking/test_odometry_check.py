@@ -85,6 +85,23 @@ def test_silent_odometry_is_contradicted_as_well():
     assert not same(result, increment)
 
 
+def test_what_silent_odometry_reports_at_once_is_not_driven_twice():
+    """The scans give the motion until odometry returns, which then reports all of it in one step."""
+    check, pose, composed, missed = OdometryCheck(), np.zeros(3), np.zeros(3), np.zeros(3)
+    for k in range(60):
+        silent, step = 10 <= k < 30, STEP if k else np.zeros(3)
+        missed = compose(missed, step)
+        moved = np.zeros(3) if silent else missed
+        covariance = (0.5 * moved[0]) ** 2 * np.eye(3) if k == 30 else COVARIANCE * np.any(moved)
+        motion = at_rest(0.0) if k == 0 else Increment(k * PERIOD, moved, covariance, PERIOD)
+        missed = missed if silent else np.zeros(3)
+        pose = compose(pose, step)
+        beams = beam_columns(scans_of([cast(ROOM, pose=pose).scan]), 1)
+        motions, _, _ = check.check(motions_of([motion]), beams)
+        composed = compose(composed, motions.d_pose[0])
+    np.testing.assert_allclose(composed, pose, atol=0.05)
+
+
 def test_a_room_of_which_three_walls_fit_shows_no_motion():
     """The robot is carried to another room while its wheels stand: the scan is of another place."""
     check = OdometryCheck()

@@ -9,7 +9,7 @@ import numpy as np
 
 from impslam.columns import Columns, Motions
 from impslam.component import Component, parameter
-from impslam.noise import MAX_GAP, MotionNoise, SystematicErrors
+from impslam.noise import MotionNoise, SystematicErrors
 from impslam.odometry.gyro import Gyro
 from impslam.odometry.standstill import Band
 from impslam.types import Array, Mask
@@ -85,15 +85,13 @@ def durations(readings: Columns) -> Array:
     return np.maximum(stamps[1:] - stamps[:-1], 0.0)
 
 
-def add_path_uncertainty(
-    covariance: Array, travel: Array, seconds: Array, longest: float = MAX_GAP
-) -> None:
-    """Add the uncertainty of travels (m,) m with unknown paths to `covariance` (m, 3, 3).
+def add_path_uncertainty(covariance: Array, travel: Array, unknown: Array | Mask) -> None:
+    """Add the uncertainty of travels (m,) m whose paths are not measured to `covariance` (m, 3, 3).
 
-    Those are unknown that took more than `longest` s. The end of a path is anywhere within its length from
-    the start: half of it is one standard deviation.
+    `unknown` (m,) is 0 for known paths and 1 for unknown ones. The end of an unknown path is anywhere
+    within its length from the start: half of it is one standard deviation.
     """
-    variance = np.where(seconds > longest, 0.5 * travel, 0.0) ** 2
+    variance = (0.5 * travel * unknown) ** 2
     covariance[:, 0, 0] += variance
     covariance[:, 1, 1] += variance
 

@@ -17,7 +17,7 @@ import numpy as np
 from impslam.columns import Columns, Motions
 from impslam.component import parameter, register
 from impslam.geometry.kernels import plain
-from impslam.noise import MotionNoise
+from impslam.noise import MAX_GAP, MotionNoise
 from impslam.odometry.base import DIAGONAL, Odometry, add_path_uncertainty, durations, mask_unknown
 from impslam.odometry.gyro import Gyro
 from impslam.odometry.kernels import wheel_motions
@@ -113,14 +113,16 @@ class Encoders(Odometry):
         """Return the motions between the readings; see `Odometry.motions`."""
         left, right, seconds = *self._travels(readings), durations(readings)
         d_pose, covariance = wheel_motions(left, right, self.track, self.wheel_noise**2)
+        path = travel = np.maximum(np.abs(left), np.abs(right))
         if self.constant_speed:
             distance = self.constant_speed * seconds
+            path = np.where(seconds > MAX_GAP, travel, distance)
             _, covariance = wheel_motions(distance, distance, self.track, self.wheel_noise**2)
             covariance[DIAGONAL] += self.slip.variances(distance, np.zeros(len(distance)))
         else:
             covariance[DIAGONAL] += self.slip.variances(0.5 * (left + right), d_pose[:, 2])
-        travel = np.maximum(np.abs(left), np.abs(right))
-        add_path_uncertainty(covariance, travel, seconds)
+        # A change of the turn rate bends a path by an angle that grows with the time squared.
+        add_path_uncertainty(covariance, path, np.minimum(seconds / MAX_GAP, 1.0) ** 2)
         motions = Motions(readings.stamps[1:], d_pose, covariance, seconds)
         # Stamps jitter by tens of milliseconds on real robots, so short intervals overestimate the speed.
         limits = self.max_speed * np.maximum(seconds, 0.2)

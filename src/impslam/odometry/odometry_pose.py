@@ -54,7 +54,7 @@ class OdometryPoses(Odometry):
         variances += np.square(self.drift) * (seconds * moved)[:, None]
         covariance = diagonal(variances)
         # The robot integrates its path between two readings, unless it was switched off.
-        add_path_uncertainty(covariance, distances, seconds, MIN_BREAK)
+        add_path_uncertainty(covariance, distances, seconds > MIN_BREAK)
         motions = Motions(readings.stamps[1:], d_pose, covariance, seconds)
         return mask_unknown(motions, distances <= self.max_speed * np.maximum(seconds, 0.2))
 

@@ -187,16 +187,18 @@ def _check(
             continue
         count = find_beam_features(beams, k, SPACING, False, features)
         count = leave_out_oblique(features[:count])
-        motion, wide = pending.pose.copy(), _widened(pending.covariance, pending.clock[0])
+        motion, wide = _predict(pending)
+        by_scans = pending.contradicted[0]
         if _match(motion, wide, features[:count], pending, submaps, matching):
             out[k] = _find_contradiction(before, motion, wide, history, pending)
-            if out[k] != NONE:
+            by_scans |= out[k] != NONE
+            if by_scans:
                 _substitute(d_pose[k], covariance[k], before, motion, wide, history)
             if turns_oppose(pending.turns, pending.pose[2], motion[2]):
                 out[k] = OPPOSED
             advance_pose(history.used[(history.ring[1] - 1) % MAX_SCANS], d_pose[k])
         pending.contradicted[0] = out[k] != NONE
-        if pending.contradicted[0]:
+        if by_scans:
             interrupt(pending.offsets)
         else:
             out[k], amounts[k] = check_offsets(
@@ -217,12 +219,18 @@ def _due(history: MatchHistory, pending: PendingMotion) -> bool:
 
 
 @kernel
-def _widened(covariance: Array, seconds: float) -> Array:
-    """Return a covariance (3, 3) plus that of a motion whose odometry is not trusted."""
-    out = covariance.copy()
+def _predict(pending: PendingMotion) -> tuple[Array, Array]:
+    """Return the motion (3,), (3, 3) since the last scan if odometry is not trusted.
+
+    Odometry that was silent reports what it missed at once, although the scans have given the motion.
+    """
+    motion, covariance = pending.pose.copy(), pending.covariance.copy()
+    unknown = UNKNOWN_MOTION_SIGMA**2 * pending.clock[0]
+    if pending.contradicted[0] and covariance[0, 0] + covariance[1, 1] > unknown[0] + unknown[1]:
+        motion[:], covariance[:] = 0.0, 0.0
     for a in range(3):
-        out[a, a] += UNKNOWN_MOTION_SIGMA[a] ** 2 * seconds
-    return out
+        covariance[a, a] += unknown[a]
+    return motion, covariance
 
 
 @kernel

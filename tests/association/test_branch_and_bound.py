@@ -26,12 +26,15 @@ def problem(rng):
     return S, nu, starts, landmarks, groups, dims, dims * np.log(noises)
 
 
-def run(case, gate, budget=10**6):
+def run(case, gate, budget=10**6, beat=(0, np.inf)):
     S, nu, starts, landmarks, groups, dims, noise = case
     rest = np.append(0, np.cumsum(dims[::-1]))[::-1]  # reversed views, as the caller has them
     floor = np.append(0.0, np.cumsum(noise[::-1]))[::-1]
     limits = quantiles(gate, int(dims.sum()))
-    return search((S, nu), (starts, landmarks), groups, rest, floor, limits, budget)
+    found, _, full = search(
+        (S, nu), (starts, landmarks), groups, (rest, floor), limits, budget, beat
+    )
+    return found, full
 
 
 def worth(case, gate, chosen):
@@ -60,6 +63,17 @@ def test_equal_to_enumeration(gate):
         found, full = run(case, gate)
         assert full
         assert worth(case, gate, [p for p in found if p != NONE]) == pytest.approx(best, abs=1e-9)
+
+
+def test_only_a_set_that_beats_another_is_returned():
+    rng = np.random.default_rng(12)
+    for _ in range(30):
+        case = problem(rng)
+        best = run(case, 0.999)[0]
+        count, score = worth(case, 0.999, [p for p in best if p != NONE])
+        assert (run(case, 0.999, beat=(-count, score + 1e-6))[0] == best).all()
+        assert (run(case, 0.999, beat=(-count, score - 1e-6))[0] == NONE).all()
+        assert (run(case, 0.999, beat=(1 - count, np.inf))[0] == NONE).all()
 
 
 def test_only_complete_sets_are_tested():

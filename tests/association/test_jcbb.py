@@ -1,6 +1,7 @@
 """JCBB finds the largest jointly compatible set; tests of single pairs are misled."""
 
 import itertools
+import time
 
 import numpy as np
 import pytest
@@ -58,6 +59,22 @@ def random_scene(seed, landmarks=5, seen=4):
     return belief, tuple(observations), true
 
 
+def dense_scene(seed, count, spurious):
+    """A scan of many points whose gates hold two landmarks on average; some observations are spurious.
+
+    Return also which landmark each observation shows, of those that are not spurious.
+    """
+    rng, sigma = np.random.default_rng(seed), np.array([0.1, 0.1, 0.01])
+    side = 2.6 * np.sqrt(count) * sigma[0] * 2.9  # one other landmark in an ellipse of 3.7 sigma
+    places = rng.uniform(-side / 2, side / 2, (count, 2))
+    belief = mapped([point(ORIGIN, p, rng=rng) for p in places], sigma=sigma)
+    pose, order = rng.normal(0.0, sigma), rng.permutation(count)
+    seen = [point(pose, places[k], rng=rng) for k in order]
+    for i in range(spurious):
+        seen[i] = point(pose, rng.uniform(-side / 2, side / 2, 2))
+    return belief, tuple(seen), dict(enumerate(order.tolist()[spurious:], spurious))
+
+
 def row(error):
     """A row of four posts half a metre apart, seen from a pose that is off by `error` along it."""
     places = [(2.0, y) for y in (0.0, 0.5, 1.0, 1.7)]
@@ -103,6 +120,33 @@ def test_right_more_often_than_tests_of_single_pairs():
             right[kind] += sum(true[a] == k for a, k in found.items())
     assert right[Jcbb] > 0.97 * 320
     assert right[Mahalanobis] < 0.9 * right[Jcbb]
+
+
+@pytest.mark.parametrize("count", [40, 100, 200])
+def test_a_dense_scan_is_matched(count):
+    """One observation in ten is spurious; a search of them all at once ends far from the best set."""
+    right, wrong, total = 0, 0, 0
+    for seed in range(4):
+        belief, seen, true = dense_scene(seed, count, count // 10)
+        found = pairs(belief.associate(seen, Jcbb()))
+        right += sum(true.get(i) == k for i, k in found.items())
+        wrong += sum(true.get(i) != k for i, k in found.items())
+        total += len(true)
+    assert right > 0.97 * total
+    assert wrong < 0.01 * total
+
+
+def test_the_time_of_a_dense_scan_is_bounded():
+    """Ten times the observations have a covariance of a hundred times the size."""
+    seconds = []
+    for count in (20, 200):
+        belief, seen, _ = dense_scene(0, count, count // 10)
+        belief.associate(seen, Jcbb())
+        start = time.process_time()
+        for _ in range(3):
+            belief.associate(seen, Jcbb())
+        seconds.append(time.process_time() - start)
+    assert seconds[1] < 100.0 * seconds[0]
 
 
 def test_spurious_observations_are_rejected():

@@ -67,12 +67,13 @@ def innovation_covariance(H: Array, P: Array, R: Array) -> Array:
             if h != 0.0:
                 for i in range(q):
                     HP[a, i] += h * P[c, i]
+    PH = HP.T.copy()  # to read it by rows
     for a in range(rows):
         for c in range(q):
             h = H[a, c]
             if h != 0.0:
                 for b in range(a + 1):
-                    S[a, b] += h * HP[b, c]
+                    S[a, b] += h * PH[c, b]
         for b in range(a):
             S[b, a] = S[a, b]
     return S

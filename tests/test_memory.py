@@ -101,12 +101,14 @@ def test_a_run_keeps_nothing_of_a_sweep_but_its_row_in_the_map():
 
 
 @pytest.mark.parametrize("preset", ["default", "imp"])
-def test_a_robot_at_rest_keeps_a_few_scans(preset):
+def test_a_robot_at_rest_keeps_a_few_scans_and_their_observations(preset):
     """Some presets add a keyframe every half second, moving or not."""
     run = Run(load(preset, ["odometry.kind=odometry_pose"]))
     still = [replace(m, pose=np.zeros(3)) if isinstance(m, OdometryPose) else m for m in drive(300)]
     for batch in batches((type(m).__name__, m) for m in still):
         run.feed(batch)
-    keyframes = run.map().keyframes
+    known = run.map()
+    keyframes, seen = known.keyframes, [row for row in known.observations if row]
+    assert 1 <= len(seen) <= 5
     assert np.count_nonzero(np.diff(keyframes.starts)) <= 5
     assert len(keyframes.points) <= 5 * len(ANGLES)

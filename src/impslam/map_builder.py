@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from impslam.geometry.chain import advance
-from impslam.geometry.kernels import kernel, read_only
+from impslam.geometry.kernels import kernel
 from impslam.geometry.se2 import between, compose, motion_lengths
 from impslam.growing_array import GrowingArray
 from impslam.map import (
@@ -23,7 +23,7 @@ from impslam.map import (
     poses_in_map,
     with_begins,
 )
-from impslam.maps.grid import STATIONARY_SCANS, is_at
+from impslam.maps.grid import Standstill
 from impslam.types import Array, Mask, Scan
 
 _DISTINCT = np.ravel_multi_index(UPPER, (3, 3))
@@ -41,8 +41,7 @@ class MapBuilder:
 
     def __init__(self, known: Map | None = None, *, frozen: bool = False) -> None:
         self._frozen = frozen
-        self._place = np.full(3, np.nan)  # where the robot stands
-        self._here = 0  # keyframes there
+        self._standstill = Standstill()
         self._sweeps = {
             "stamps": GrowingArray(),
             "anchors": GrowingArray(dtype=np.int64),
@@ -120,23 +119,14 @@ class MapBuilder:
         kept = self._keyframes
         kept["innovations"].append((len(revision.matches), *revision.nis()))
         scan = keyframe.scan
-        if self._stands(revision.poses[-1]) or scan is None or self._frozen:
+        is_redundant = self._standstill.is_redundant(revision.poses[-1])
+        if is_redundant or scan is None or self._frozen:
             kept["origins"].append(0.0 if scan is None else scan.laser[:2])
         else:
             points = valid_points(scan)
             kept["origins"].append(scan.laser[:2])
             kept["points"].append(points, len(points))
         kept["starts"].append(len(kept["points"]))
-
-    def _stands(self, pose: Array) -> bool:
-        """Return whether more keyframes than the grid draws are at this place.
-
-        Some estimators add keyframes at rest: with their scans, a gigabyte a day.
-        """
-        self._here += 1
-        if not is_at(*read_only(self._place, pose)):
-            self._place, self._here = pose, 1
-        return self._here > STATIONARY_SCANS
 
     def _drop(self, ids: tuple[int, ...]) -> None:
         """Remove the points of keyframes that are among the newest."""

@@ -25,6 +25,7 @@ from impslam.health import MAX_GROWTH
 from impslam.landmarks.base import LandmarkModel
 from impslam.lifecycle.base import Lifecycle
 from impslam.map import Keyframe, Revision
+from impslam.maps.grid import Standstill
 from impslam.noise import MAX_GAP
 from impslam.types import Array, ErrorEstimate, Increment, Landmark, Match, Observation
 
@@ -62,7 +63,8 @@ class Landmarks(Estimator):
     _alternatives: AlternativePlaces = PrivateAttr(default_factory=AlternativePlaces)
     _counts: Counter[str] = PrivateAttr(default_factory=Counter)
     _sightings: SightingsLog = PrivateAttr(default_factory=SightingsLog)
-    """The observations of all keyframes, from which `graph` continues the map."""
+    """The observations of keyframes, from which `graph` continues the map."""
+    _standstill: Standstill = PrivateAttr(default_factory=Standstill)
 
     def start(self, pose: Array, **parts: Any) -> None:
         """Begin at a pose (3,) with an empty map; see `Estimator.start`."""
@@ -86,7 +88,8 @@ class Landmarks(Estimator):
                 self._lifecycle.move(keyframe.motion)
             reason = f"the scan at {keyframe.stamp:.3f} s is not used for the map: {error}"
             return self._revision(keyframe, refused=reason)
-        self._sightings.add(keyframe.observations, keyframe.stamp)
+        is_redundant = self._standstill.is_redundant(revision.poses[-1])
+        self._sightings.add(() if is_redundant else keyframe.observations, keyframe.stamp)
         return revision
 
     def _add(self, keyframe: Keyframe) -> Revision:

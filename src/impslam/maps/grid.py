@@ -86,6 +86,21 @@ def is_at(place: Array, pose: Array) -> bool:
     return bool(apart < STATIONARY[0] and abs(wrap_in_kernel(pose[2] - place[2])) < STATIONARY[1])
 
 
+class Standstill:
+    """Counts keyframes at one place: some estimators add them at rest, which may last for days."""
+
+    def __init__(self) -> None:
+        self._place, self._count = np.full(3, np.nan), 0
+
+    def is_redundant(self, pose: Array) -> bool:
+        """Add a keyframe at a pose (3,); return whether `STATIONARY_SCANS` before it show the same."""
+        if is_at(*read_only(self._place, pose)):
+            self._count += 1
+        else:
+            self._place, self._count = pose, 1
+        return self._count > STATIONARY_SCANS
+
+
 @kernel
 def _select(scans: PlacedScans, size: float, box: Array, last: Array) -> Ints:
     """Return the decision on each scan: SKIP, DRAW or REJECT.

@@ -19,6 +19,7 @@ from impslam.building.fusion import Fused, fuse
 from impslam.building.groups import Rules
 from impslam.building.sightings import PlacedSightings, Sightings, SightingsLog, transform_to_map
 from impslam.errors import ConfigError
+from impslam.geometry.kernels import plain
 from impslam.landmarks.base import OF_THE_ROBOT, LandmarkModel
 from impslam.maps.grid import PlacedScans
 from impslam.types import Array, Ints, Landmark, Mask, Observation
@@ -86,7 +87,9 @@ def landmarks_of(
             continue
         sightings = log.columns(kind)
         limits = np.array([criteria.sigma_place, criteria.sigma_heading, criteria.relief])
-        placed = transform_to_map(sightings, poses, covariances, limits, model.has_extent)
+        placed = transform_to_map(
+            sightings, plain(poses), plain(covariances), limits, model.has_extent
+        )
         members = _members(placed, sightings, free, criteria, model.has_extent)
         if len(members.first):
             found += _reported(kind, model, members, sightings, log)

@@ -46,7 +46,7 @@ from impslam.filters.belief import POSE
 from impslam.filters.ekf import Ekf
 from impslam.filters.matched_scan import MatchedKind
 from impslam.filters.symmetry import pose_D_motion
-from impslam.geometry.kernels import kernel
+from impslam.geometry.kernels import kernel, plain
 from impslam.landmarks.base import Prediction
 from impslam.types import Array, Ints, Landmark
 
@@ -188,5 +188,5 @@ class RightInvariantEkf(Ekf):
         if pose is kind.pose:
             return now
         D = kind.table.model.m_D_motion(np.concatenate([kind.states, states]))
-        z_D_pose = _carried_back(now.z_D_pose, now.z_D_m, (kind.pose, pose), D)
+        z_D_pose = _carried_back(plain(now.z_D_pose), plain(now.z_D_m), (kind.pose, pose), D)
         return Prediction(now.z, z_D_pose, now.z_D_m)

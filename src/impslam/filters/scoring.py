@@ -13,7 +13,7 @@ from impslam.filters.atlas import Table
 from impslam.filters.belief import POSE, Belief, GaussianBelief, innovation_blocks
 from impslam.filters.columns import ObservationColumns
 from impslam.geometry.angles import wrap_in_kernel
-from impslam.geometry.kernels import kernel
+from impslam.geometry.kernels import kernel, plain
 from impslam.landmarks.base import LandmarkModel
 from impslam.types import Array, Ints, Mask
 
@@ -206,7 +206,7 @@ def score(
     if belief.errors:
         errors = np.array([belief.errors.get(sensor, -1) for sensor in seen.sensors])
     observed = seen.z, seen.R, seen.shared, errors
-    known, angles = (z, z_D_pose, z_D_m), angle_mask(type(model))
+    known, angles = (plain(z), plain(z_D_pose), plain(z_D_m)), angle_mask(type(model))
     scored = _scored(belief.P, table.offsets, observed, known, angles, gate)
     return _hypotheses(belief, table, seen, z, scored)
 

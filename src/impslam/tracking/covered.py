@@ -23,7 +23,7 @@ import numpy as np
 
 from impslam.columns import Scans
 from impslam.geometry.chain import advance_pose
-from impslam.geometry.kernels import kernel
+from impslam.geometry.kernels import kernel, plain
 from impslam.tracking.beams import BeamColumns, Geometry, beam_columns
 from impslam.tracking.reference_scan import MIN_CHANGE, MIN_MOTION, changed_beam
 from impslam.types import Array, Ints, Mask
@@ -88,7 +88,7 @@ def initial_cover(beams: int) -> Cover:
 def hidden_beams(d_pose: Array, scans: Scans, cover: Cover) -> Mask:
     """Return which beams (m, n) of scans to leave out; `d_pose` (m, 3) is by odometry, before each."""
     out = np.zeros(scans.valid.shape, np.bool_)
-    _hide(d_pose, beam_columns(scans, len(out)), cover, out)
+    _hide(plain(d_pose), beam_columns(scans, len(out)), cover, out)
     return out
 
 

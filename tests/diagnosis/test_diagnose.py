@@ -13,8 +13,10 @@ from tests import log_faults as faults
 
 from impslam.calibration.lidar_path import determines_pose, unmounted
 from impslam.calibration.recording import record_batches
+from impslam.calibration.scan_pairs import align_pairs
 from impslam.columns import Batch, Columns, batches, log_order, messages
 from impslam.config import load
+from impslam.diagnosis import aligned_pairs
 from impslam.diagnosis.agreement import drive_axis, fit_agreement
 from impslam.diagnosis.beam_samples import MAX_SCANS, BeamSamples
 from impslam.diagnosis.diagnose import diagnose
@@ -86,6 +88,18 @@ def test_sound_log_has_no_findings_and_no_fault(drive) -> None:
     findings = found(drive)
     assert findings == []
     assert worst_fault(findings) == NO_FAULT
+
+
+def test_scans_are_aligned_once_for_all_checks(drive, monkeypatch) -> None:
+    calls = []
+
+    def counted(*arguments):
+        calls.append(arguments)
+        return align_pairs(*arguments)
+
+    monkeypatch.setattr(aligned_pairs, "align_pairs", counted)
+    found(drive)
+    assert len(calls) == 1
 
 
 CASES = {

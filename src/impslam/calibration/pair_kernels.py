@@ -12,6 +12,8 @@ MIN_FACING = 0.9
 """Cosine between the normals of a pair of points."""
 ROUGHNESS = 0.005
 """m: unevenness of surfaces (skirting, frames, fabric), which matters for grazing beams."""
+_NEIGHBOURS, _RADIUS, _FACING = 4, 0.25, 0.95
+"""Neighbours on either side, their distance in m, and cosine between normals, for smoothing."""
 
 
 class IndexedSurface(NamedTuple):
@@ -28,6 +30,32 @@ class IndexedSurface(NamedTuple):
     normals: Array
     sorted_points: Array
     rows: Ints
+
+
+@kernel
+def smooth_along(points: Array, normals: Array, out: Array) -> float:
+    """Fill `out` (n, 2) with points (n, 2) in beam order, smoothed along their surface.
+
+    Each moves along its normal to the mean of the lines through its neighbours. Return the mean number of
+    points in these means; 1 if there are none.
+    """
+    n, everything = len(points), 0
+    for i in range(n):
+        off, count = 0.0, 1
+        for step in range(1, _NEIGHBOURS + 1):
+            for j in (i - step, i + step):
+                if j < 0 or j >= n:
+                    continue
+                x, y = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1]
+                mx, my = normals[j, 0], normals[j, 1]
+                facing = normals[i, 0] * mx + normals[i, 1] * my
+                if facing > _FACING and math.hypot(x, y) < _RADIUS:
+                    off += 0.5 * ((normals[i, 0] + mx) * x + (normals[i, 1] + my) * y)
+                    count += 1
+        for axis in range(2):
+            out[i, axis] = points[i, axis] + off / count * normals[i, axis]
+        everything += count
+    return everything / n if n else 1.0
 
 
 @kernel

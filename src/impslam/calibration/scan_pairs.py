@@ -25,6 +25,7 @@ from impslam.calibration.pair_kernels import (
     IndexedSurface,
     find_misfit,
     find_nearest,
+    smooth_along,
 )
 from impslam.columns import Columns, Scans
 from impslam.geometry.kernels import plain
@@ -41,8 +42,6 @@ MAX_PAIRS = 1500
 """Pairs of a log; if there are more, they are thinned evenly. More would reduce only the random errors."""
 START_RADIUS, END_RADIUS, END_SIGMAS = 0.3, 0.05, 3.0
 """m between paired points, at first and in the end; and standard deviations of e in the end."""
-SMOOTH_NEIGHBOURS, SMOOTH_RADIUS, SMOOTH_FACING = 4, 0.25, 0.95
-"""Neighbours on either side, their distance in m, and cosine between normals, for smoothing."""
 MIN_POINTS, MIN_SHARE = 30, 0.5
 """Points that match, and their share of the smaller scan: below, the scans show different places."""
 MIN_CHI2 = 1e-4
@@ -110,6 +109,23 @@ class PairAlignment(NamedTuple):
     share: float
 
 
+class AlignedPair(NamedTuple):
+    """Two sweeps, the earlier and the later, and the pose of the later in the earlier.
+
+    Attributes
+    ----------
+    rows : of the path
+    surfaces : in the lidar's frame
+    middles : rad, of the fields of view
+    alignment : None if they show different places
+    """
+
+    rows: tuple[int, int]
+    surfaces: tuple[Surface, Surface]
+    middles: tuple[float, float]
+    alignment: PairAlignment | None
+
+
 def match_pairs(
     lidar: Lidar2D, scans: Sequence[Columns], path: LidarPath, most: int = MAX_PAIRS
 ) -> LidarMotions:
@@ -117,20 +133,36 @@ def match_pairs(
 
     If there are more than `most` pairs, they are thinned evenly.
     """
+    return motions_of(align_pairs(lidar, scans, path, most), path)
+
+
+def motions_of(aligned: Sequence[AlignedPair], path: LidarPath) -> LidarMotions:
+    """Return the motions of the pairs that show one place."""
+    found = [(pair.rows, pair.alignment) for pair in aligned if pair.alignment is not None]
+    begins, ends = np.array([rows for rows, _ in found], np.int64).reshape(-1, 2).T
+    alignments = [alignment for _, alignment in found]
+    columns = [np.array(c) for c in zip(*alignments, strict=True)] if alignments else _NONE
+    return LidarMotions(path.middles[begins], path.middles[ends], *columns)
+
+
+def align_pairs(
+    lidar: Lidar2D, scans: Sequence[Columns], path: LidarPath, most: int = MAX_PAIRS
+) -> list[AlignedPair]:
+    """Return the pairs of scans along a path, see `pairs`, each aligned independently."""
     begins, ends = pairs(path, most)
-    rows = np.concatenate((begins, ends))
-    features = dict(
-        zip(np.sort(rows).tolist(), _features(lidar, scans, path, np.sort(rows)), strict=True)
-    )
-    found, kept = [], []
-    for k, (a, b) in enumerate(zip(begins.tolist(), ends.tolist(), strict=True)):
-        guess = between(path.poses[a], path.poses[b])
-        alignment = align(features[a], features[b], guess, (lidar.sigma, lidar.sigma_per_m))
-        if alignment is not None:
-            found.append(alignment)
-            kept.append(k)
-    columns = [np.array(column) for column in zip(*found, strict=True)] if found else _NONE
-    return LidarMotions(path.middles[begins[kept]], path.middles[ends[kept]], *columns)
+    rows = np.sort(np.concatenate((begins, ends)))
+    views = [
+        (sweep_surface(some, k), 0.5 * float(some.angles[0] + some.angles[-1]))
+        for some in deskewed(lidar, scans, path, rows)
+        for k in range(len(some.stamps))
+    ]
+    views_of = dict(zip(rows.tolist(), views, strict=True))
+    noise, aligned = (lidar.sigma, lidar.sigma_per_m), []
+    for a, b in zip(begins.tolist(), ends.tolist(), strict=True):
+        surfaces, middles = zip(views_of[a], views_of[b], strict=True)
+        found = align(*surfaces, between(path.poses[a], path.poses[b]), noise)
+        aligned.append(AlignedPair((a, b), surfaces, middles, found))
+    return aligned
 
 
 _NONE = [np.empty((0, *shape)) for shape in ((3,), (4,), (4, 4), (), ())]
@@ -158,17 +190,6 @@ def pairs(path: LidarPath, most: int = MAX_PAIRS) -> tuple[Ints, Ints]:
     return np.array(begins, np.int64)[some], np.array(ends, np.int64)[some]
 
 
-def _features(
-    lidar: Lidar2D, scans: Sequence[Columns], path: LidarPath, rows: Ints
-) -> list[Surface]:
-    """Return the surfaces of sweeps, in the lidar's frame in the middle of each."""
-    return [
-        sweep_surface(some, k)
-        for some in deskewed(lidar, scans, path, rows)
-        for k in range(len(some.stamps))
-    ]
-
-
 def sweep_surface(scans: Scans, k: int) -> Surface:
     """Return the surface of sweep k, in the frame of the scans."""
     out = np.empty((len(scans.angles), 5), np.float32)
@@ -182,16 +203,8 @@ def sweep_surface(scans: Scans, k: int) -> Surface:
 def surface(features: Features) -> Surface:
     """Return the surface of features (n, 5) in beam order, with points smoothed along it."""
     points, normals = features[:, :2].astype(np.float64), features[:, 2:4].astype(np.float64)
-    total, count = np.zeros(len(points)), np.ones(len(points))
-    for step in range(1, SMOOTH_NEIGHBOURS + 1):
-        for this, other in ((slice(step, None), slice(-step)), (slice(-step), slice(step, None))):
-            offset = points[other] - points[this]
-            same = _dot(normals[this], normals[other]) > SMOOTH_FACING
-            same &= np.hypot(offset[:, 0], offset[:, 1]) < SMOOTH_RADIUS
-            total[this] += same * 0.5 * _dot(normals[this] + normals[other], offset)
-            count[this] += same
-    smooth = points + (total / count)[:, None] * normals
-    shared = float(count.mean()) if len(count) else 1.0
+    smooth = np.empty_like(points)
+    shared = smooth_along(points, normals, smooth)
     return Surface(smooth, normals, shared, np.argsort(smooth[:, 0]))
 
 
@@ -209,7 +222,7 @@ def align(a: Surface, b: Surface, guess: Array, noise: tuple[float, float]) -> P
         e, J, _ = _misfit(a, b, pose, max(START_RADIUS * 0.5**k, END_RADIUS), noise)
         if len(e) < MIN_POINTS:
             return None
-        sigma = 1.4826 * float(np.median(np.abs(e)))  # 0 if the lidar repeats a scan
+        sigma = 1.4826 * _median(np.abs(e))  # 0 if the lidar repeats a scan
         scale = END_SIGMAS * max(sigma, math.sqrt(MIN_CHI2))
         WJ = J.T * (1.0 + (e / scale) ** 2) ** -2
         step = np.linalg.lstsq(WJ[:3] @ J[:, :3], -WJ[:3] @ e, rcond=1e-9)[0]
@@ -266,6 +279,13 @@ def nearest(points: Array, others: Array, radius: float) -> Ints:
     find_nearest(plain(points), plain(others[order]), radius, found)
     found[found >= 0] = order[found[found >= 0]]
     return found
+
+
+def _median(values: Array) -> float:
+    """Return the median of values (n,), without the search for NaN, which takes most of numpy's time."""
+    low, high = (len(values) - 1) // 2, len(values) // 2
+    ordered = np.partition(values, (low, high))
+    return 0.5 * float(ordered[low] + ordered[high])
 
 
 def _dot(one: Array, two: Array) -> Array:

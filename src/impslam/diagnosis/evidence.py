@@ -22,6 +22,7 @@ from impslam.diagnosis.agreement import (
     drive_axis,
     fit_agreement,
 )
+from impslam.diagnosis.aligned_pairs import AlignedPairs
 from impslam.diagnosis.beam_samples import BeamSamples, beam_samples
 from impslam.diagnosis.file_order import in_file_order, without_repeats
 from impslam.diagnosis.timing import Timing, estimate_timing, no_timing
@@ -46,6 +47,7 @@ class Evidence:
     recording : the rows of the log; with times by their order if it is `untimed`, or if its stamps run back
         and the turns by laser and by odometry agree better by order
     path : the lidar's path by its scans alone
+    pairs : pairs of scans along it
     samples : scans to check beams with; None if there are too few
     sweep_motions : the motions along it, with stamps as received
     timing : when scans were taken
@@ -67,6 +69,7 @@ class Evidence:
     odometry: Odometry
     recording: CalibrationRows
     path: LidarPath
+    pairs: AlignedPairs
     samples: BeamSamples | None
     sweep_motions: SweepMotions
     timing: Timing
@@ -142,9 +145,9 @@ def gather_evidence(config: Config, name: str, recording: CalibrationRows) -> Ev
             axle_motion = motion_along(lidar_motion, axis.angle)
             agreement = fit_agreement(axle_motion, odometry_motion, resolution)
     return Evidence(
-        config, name, lidar, robot.odometry, recording, path, samples, sweeps, timing,
-        _sweep_time(lidar, recording.scans), times, lidar_motion, odometry_motion, resolution,
-        axis, axle_motion, agreement, _total(odometer), len(lidars) == 1,
+        config, name, lidar, robot.odometry, recording, path, AlignedPairs(recording.scans, path),
+        samples, sweeps, timing, _sweep_time(lidar, recording.scans), times, lidar_motion,
+        odometry_motion, resolution, axis, axle_motion, agreement, _total(odometer), len(lidars) == 1,
     )  # fmt: skip
 
 

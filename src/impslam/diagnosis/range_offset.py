@@ -11,15 +11,13 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from impslam.calibration.scan_pairs import PAIR_DISTANCE, SHAPE_SIGMA, match_pairs
+from impslam.calibration.scan_pairs import PAIR_DISTANCE, SHAPE_SIGMA, motions_of
+from impslam.diagnosis.aligned_pairs import MIN_PAIRS
 from impslam.diagnosis.evidence import Evidence
 from impslam.diagnosis.finding import Finding, is_off, probability_off
 from impslam.diagnosis.robust import fit
 from impslam.sensors.lidar2d import Lidar2D
 
-MAX_PAIRS, MIN_PAIRS = 100, 12
-"""Pairs that are compared, which determine the offset to some mm in rooms, in tenths of a second of
-computing; and the least number, twice the rows that the robust scale can be wrong about."""
 MIN_DISTANCE = 0.5 * PAIR_DISTANCE
 """m between the scans of a pair; from closer places, surfaces are hit in almost the same directions."""
 TOLERANCE = 3.0
@@ -55,7 +53,7 @@ def check_range_offset(e: Evidence) -> Iterator[Finding]:
 
 def _estimate(lidar: Lidar2D, e: Evidence) -> tuple[float, float] | None:
     """Return what to add to the lidar's offset, and its standard deviation, m; None if nothing shows it."""
-    motions = match_pairs(lidar, e.recording.scans, e.path, MAX_PAIRS)
+    motions = motions_of(e.pairs.by(lidar), e.path)
     far = np.flatnonzero(np.hypot(*motions.joint[:, :2].T) >= MIN_DISTANCE)
     if len(far) < MIN_PAIRS:
         return None

@@ -44,6 +44,12 @@ def robot_laser(stamp: float, n: int = 4, start: float = -1.5, remissions: int =
     return " ".join(map(str, words))
 
 
+def raw_laser(stamp: float, n: int = 4, start: float = -1.5, remissions: int = 0) -> str:
+    """The same scan as that of `robot_laser`, without the poses."""
+    words = robot_laser(stamp, n, start, remissions).split()
+    return " ".join(["RAWLASER1", *words[1:-14], *words[-3:]])
+
+
 def dat_line(count: int, left: int, right: int, ranges: Iterable[int] | None = None) -> str:
     values = range(682) if ranges is None else ranges
     return " ".join(map(str, [count, 14000, left, right, *[0] * 20, *values, 0]))

@@ -10,6 +10,7 @@ from tests.sources.logs import (
     assert_same,
     flaser,
     odom,
+    raw_laser,
     read,
     robot_laser,
     write_carmen,
@@ -71,6 +72,24 @@ def test_robot_laser_lines_contain_their_angles(tmp_path: Path) -> None:
     assert [s.range_max for s in scans] == [81.9] * 3
     np.testing.assert_array_equal(found[0].pose, [1.0, 2.0, 0.5])
     assert not source.problems.counts
+
+
+def test_raw_laser_lines_have_no_pose(tmp_path: Path) -> None:
+    path = log(tmp_path, odom(0.5), raw_laser(1.0), odom(1.5), raw_laser(2.0, 3, -1.0, 3))
+    found, source = read(path)
+    assert [type(m) for m in found] == [OdometryPose, LaserScan] * 2
+    assert [m.stamp for m in found] == [0.5, 1.0, 1.5, 2.0]
+    np.testing.assert_array_equal(found[3].angles, [-1.0, -0.5, 0.0])
+    np.testing.assert_array_equal(found[3].ranges, [0.5] * 3)
+    assert found[3].range_max == 81.9
+    assert not source.problems.counts
+    assert "scan RAWLASER1 (mount unknown" in choices(*open_log(path))
+    assert {one.name: one.count for one in source.streams()} == {"ODOM": 2, "RAWLASER1": 2}
+
+
+def test_robot_lasers_are_preferred_to_raw_ones(tmp_path: Path) -> None:
+    found, _ = read(log(tmp_path, raw_laser(1.0), robot_laser(1.0), odom(1.5)))
+    assert [type(m) for m in found] == [OdometryPose, LaserScan, OdometryPose]
 
 
 def drive(mount=(0.22, -0.1, 0.3), *, slip: float = 0.0, turn: float = 0.1) -> list[str]:
@@ -205,6 +224,14 @@ def read_directly(path: Path) -> tuple[list, object]:
         return list(messages(source.batches())), source
 
 
+def test_bad_raw_lasers(tmp_path: Path) -> None:
+    good = raw_laser(1.0, remissions=2)
+    bad = [good + " 7", good.replace("-1.5", "nan"), good.rsplit(" ", 2)[0], "RAWLASER1 0 -1.5"]
+    found, source = read(log(tmp_path, good, *bad, raw_laser(2.0)))
+    assert len(found) == 2
+    assert source.problems.counts == {"malformed RAWLASER1": 4}
+
+
 def test_bad_robot_lasers(tmp_path: Path) -> None:
     good = robot_laser(1.0)
     bad = [
@@ -229,15 +256,16 @@ def test_lines_read_as_tables_equal_those_read_one_by_one(
             flaser(0.1 * i, rng.random(rng.choice([7, 180])).round(3)),
             flaser(0.1 * i, [2.0] * 9, "RLASER"),
             robot_laser(0.1 * i, start=-1.5 + 0.1 * (i % 4), remissions=i % 3),
+            raw_laser(0.1 * i, start=-1.5 + 0.1 * (i % 4), remissions=i % 3),
             " " + odom(0.1 * i),
             flaser(0.1 * i, [1e-7, math.nan, 1e400, *rng.random(177)]),
             odom(0.1 * i).replace(" ", "\t"),
-        ][rng.integers(7)]
+        ][rng.integers(8)]
         words = sound.split(" ")
         words[rng.integers(len(words))] = ["x", "nan", "", "-1", "1e", "7 7"][rng.integers(6)]
         lines.append(" ".join(words) if i % 4 == 0 else sound)
     path = log(tmp_path, *lines)
-    for choice in ("FLASER", "ROBOTLASER1"):
+    for choice in ("FLASER", "ROBOTLASER1", "RAWLASER1"):
         found, source = read(path, laser=choice, wanted=("RLASER",))
         with monkeypatch.context() as patched:
             patched.setattr(carmen, "shapes", lambda *_: ())

@@ -1,8 +1,8 @@
 """CARMEN text logs: odometry and laser lines of the Carnegie Mellon robot toolkit, also gzipped.
 
 Every line ends with `ipc_timestamp ipc_hostname logger_timestamp`; the first of them is the stamp.
-Laser lines contain the odometry pose at which they were taken. Stamps sometimes go backwards; the order
-of lines is that of the events.
+Laser lines contain the odometry pose at which they were taken, except RAWLASER1. Stamps sometimes go
+backwards; the order of lines is that of the events.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from impslam.columns import Columns
 from impslam.component import parameter, register
 from impslam.errors import MessageError
 from impslam.sources.base import Mount, Stream
-from impslam.sources.carmen_lines import line_laser, odometry, robot_laser
+from impslam.sources.carmen_lines import line_laser, odometry, raw_laser, robot_laser
 from impslam.sources.carmen_mount import laser_mount
 from impslam.sources.carmen_shapes import Convert, Shape, read_table, shapes
 from impslam.sources.parts import LocatedMessage, Piece, single
@@ -28,7 +28,7 @@ from impslam.sources.tables import Lines
 from impslam.sources.text import TextSource, head
 from impslam.types import Array, Ints, LaserScan, Message, OdometryPose
 
-LASERS = ("FLASER", "ROBOTLASER1", "RLASER")  # in order of preference
+LASERS = ("FLASER", "ROBOTLASER1", "RAWLASER1", "RLASER")  # in order of preference
 _COMMON_COUNTS = (180, 181, 360, 361)  # SICK LMS: 1 deg or 0.5 deg over 180 deg
 _NAME = re.compile(rb"#|[A-Z][A-Z0-9_]*\s")
 _OPENING = (b"# CARMEN", b"ODOM ", b"PARAM ", b"SYNC ", *(f"{name} ".encode() for name in LASERS))
@@ -36,12 +36,14 @@ _OPENING = (b"# CARMEN", b"ODOM ", b"PARAM ", b"SYNC ", *(f"{name} ".encode() fo
 
 @register("carmen")
 class Carmen(TextSource):
-    """CARMEN log: ODOM, FLASER, RLASER and ROBOTLASER1 lines, also .gz."""
+    """CARMEN log: ODOM, FLASER, RLASER, ROBOTLASER1 and RAWLASER1 lines, also .gz."""
 
     describes_robot: ClassVar[bool] = True
 
-    laser: Literal["auto", "FLASER", "ROBOTLASER1", "RLASER"] = parameter(
-        "auto", "1", "laser lines to use; auto: the first of FLASER, ROBOTLASER1, RLASER in the log"
+    laser: Literal["auto", "FLASER", "ROBOTLASER1", "RAWLASER1", "RLASER"] = parameter(
+        "auto",
+        "1",
+        "laser lines to use; auto: the first of FLASER, ROBOTLASER1, RAWLASER1, RLASER in the log",
     )
     field_of_view: float = parameter(
         math.pi,
@@ -77,11 +79,12 @@ class Carmen(TextSource):
     def _pieces(self, shape: Shape, values: Array, places: Ints, choice: str) -> list[Piece]:
         """Return the rows of lines of equal shape, given their numbers."""
         stamps, beams = values[:, -1], shape.beams
-        poses = {"stamp": stamps, "pose": np.ascontiguousarray(values[:, shape.pose :][:, :3])}
         is_odometry = shape.name == "ODOM"
         order = 2 * places + is_odometry
         pieces = []
-        if is_odometry or shape.name == choice:  # other lasers repeat the same poses
+        # lasers other than the chosen one repeat the same poses
+        if shape.pose is not None and (is_odometry or shape.name == choice):
+            poses = {"stamp": stamps, "pose": np.ascontiguousarray(values[:, shape.pose :][:, :3])}
             columns = Columns("ODOM", OdometryPose, order, poses, {})
             pieces.append(Piece.of(columns, places, checked=is_odometry))
         if not is_odometry:
@@ -129,7 +132,9 @@ class Carmen(TextSource):
     def _converters(self) -> dict[str, Convert]:
         """Return the functions that read the words of a line, by its name."""
         plain = partial(line_laser, field_of_view=self.field_of_view)
-        lasers: dict[str, Convert] = {"FLASER": plain, "RLASER": plain, "ROBOTLASER1": robot_laser}
+        lasers: dict[str, Convert] = {
+            "FLASER": plain, "RLASER": plain, "ROBOTLASER1": robot_laser, "RAWLASER1": raw_laser,
+        }  # fmt: skip
         return {"ODOM": odometry} | {laser: lasers[laser] for laser in self._lasers()}
 
     def _lasers(self) -> list[str]:
@@ -148,7 +153,7 @@ class Carmen(TextSource):
         """Return the kinds of line, by name."""
         counts, choice = self._first_words(self.path), self._chosen_laser()
         used, default = {"ODOM", *self._lasers()}, {"ODOM", choice}
-        if counts[choice]:
+        if counts[choice] and choice != "RAWLASER1":  # the others contain poses
             counts["ODOM"] += counts[choice]
         return [
             Stream(
@@ -177,7 +182,7 @@ class Carmen(TextSource):
 def _note(name: str, choice: str, is_read: bool) -> str:
     """Return the note of `imp inspect` on a kind of line, given the chosen laser."""
     if name == "ODOM":
-        return f"poses, including those in {choice} lines"
+        return "" if choice == "RAWLASER1" else f"poses, including those in {choice} lines"
     if name not in LASERS or is_read:
         return ""
     return f"not read ({choice} is); use it with source.laser={name}, or name it in source.wanted"

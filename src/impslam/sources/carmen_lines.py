@@ -44,21 +44,34 @@ def robot_laser(tokens: list[bytes]) -> tuple[Message, ...]:
 
     It continues with laser_pose(3) robot_pose(3) tv rv, three safety values and the tail.
     """
+    scan, after = _described_laser(tokens, 14)
+    return _pose(scan.stamp, tokens[after + 3 : after + 6]), scan
+
+
+def raw_laser(tokens: list[bytes]) -> tuple[Message, ...]:
+    """Read `RAWLASER1`, which is `ROBOTLASER1` without the poses and all that follows them."""
+    scan, _ = _described_laser(tokens, 3)
+    return (scan,)
+
+
+def _described_laser(tokens: list[bytes], others: int) -> tuple[LaserScan, int]:
+    """Return the scan of a line with its angles, and the index of the first word after the remissions.
+
+    `others` is the number of words from there to the end, the last three of which are the tail.
+    """
     n = int(tokens[8])
     if n <= 0:
         raise MessageError(f"{n} beams")
-    after = _count(tokens, 9 + n, n + 24) + n + 10 if tokens[9 + n] != b"0" else n + 10
-    if len(tokens) != after + 14:
+    after = n + 10 + (_count(tokens, 9 + n, n + 10 + others) if tokens[9 + n] != b"0" else 0)
+    if len(tokens) != after + others:
         raise MessageError(f"{len(tokens)} words, which does not match {n} beams")
-    stamp = float(tokens[after + 11])
-    pose = _pose(stamp, tokens[after + 3 : after + 6])
-    start, span, step, range_max = map(float, tokens[2:6])
-    check_finite("start angle or resolution", start, span, step)
-    step = step or span / max(n - 1, 1)
-    angles = beam_angles(n, start, step)
-    ranges = numbers(tokens[9 : n + 9])
+    stamp, start, span, step, range_max = map(float, (tokens[-3], *tokens[2:6]))
+    check_finite("stamp, start angle or resolution", stamp, start, span, step)
+    angles = beam_angles(n, start, step or span / max(n - 1, 1))
     _, high = range_limits(0.0, range_max)
-    return pose, LaserScan(stamp, angles, ranges, beam_times(n), range_max=high)
+    return LaserScan(
+        stamp, angles, numbers(tokens[9 : n + 9]), beam_times(n), range_max=high
+    ), after
 
 
 def odometry(tokens: list[bytes]) -> tuple[Message, ...]:

@@ -13,8 +13,10 @@ from impslam.sources.parts import LocatedMessage, single
 from impslam.sources.tables import Lines
 from impslam.types import Array, Ints, LaserScan, Message
 
-_LAYOUT_WORDS = {"ODOM": 1, "FLASER": 2, "RLASER": 2, "ROBOTLASER1": 9}
+_LAYOUT_WORDS = {"ODOM": 1, "FLASER": 2, "RLASER": 2, "ROBOTLASER1": 9, "RAWLASER1": 9}
 """Number of words at the start of a line that determine its shape."""
+_DESCRIBED = ("ROBOTLASER1", "RAWLASER1")
+"""Lines with remissions after the ranges."""
 _SHAPES = 8  # maximum number per name and block; some lidars cycle through four start angles
 _TAIL = 2  # words after the stamp
 
@@ -28,16 +30,16 @@ class Shape(NamedTuple):
     ----------
     prefix : the words that determine the shape, with the blanks between them
     width : number of numbers that follow; the last is the stamp
-    pose : index of the first number of the pose
+    pose : index of the first number of the pose; None if there is none
     beams : number of beams; their ranges come first
-    remissions : number of remissions, which follows the ranges of ROBOTLASER1
+    remissions : number of remissions, which follows the ranges of some lines
     layout : what the scans share
     """
 
     name: str
     prefix: bytes
     width: int
-    pose: int
+    pose: int | None
     beams: int
     remissions: int
     layout: Mapping[str, Any]
@@ -68,9 +70,9 @@ def _shape(line: bytes, name: str, convert: Convert) -> Shape | None:
         return None
     layout = single(LocatedMessage(last, 0, name), 0).columns.layout
     beams = len(last.ranges) if isinstance(last, LaserScan) else 0
-    width, bright = len(tokens) - words - _TAIL, name == "ROBOTLASER1"
-    pose = {"ODOM": 0, "ROBOTLASER1": width - 9}.get(name, beams + 3)
-    remissions = int(tokens[words + beams]) if bright else 0
+    width = len(tokens) - words - _TAIL
+    pose = {"ODOM": 0, "ROBOTLASER1": width - 9, "RAWLASER1": None}.get(name, beams + 3)
+    remissions = int(tokens[words + beams]) if name in _DESCRIBED else 0
     return Shape(name, found[0], width, pose, beams, remissions, layout)
 
 
@@ -78,9 +80,10 @@ def read_table(lines: Lines, shape: Shape) -> tuple[Ints, Array]:
     """Return which lines are valid and have a shape, and their numbers (k, width)."""
     which = np.flatnonzero(lines.starting(shape.prefix))
     values, good = lines.table(which, len(shape.prefix), shape.width, _TAIL)
-    with np.errstate(invalid="ignore", over="ignore"):
-        x, y, theta = values[:, shape.pose :].T[:3]
-        good &= np.isfinite(values[:, -1] + x + y + theta)
-    if shape.name == "ROBOTLASER1":
+    needed = values[:, -1:]
+    if shape.pose is not None:
+        needed = np.column_stack((needed, values[:, shape.pose :][:, :3]))
+    good &= np.isfinite(needed).all(axis=1)
+    if shape.name in _DESCRIBED:
         good &= values[:, shape.beams] == shape.remissions
     return which[good], values[good]

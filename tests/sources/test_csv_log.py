@@ -352,6 +352,8 @@ def test_all_ranges_in_one_cell(tmp_path: Path, mark: str, ends: str) -> None:
         "2024-05-01 10:00:00.250000",
         "2024-05-01T12:00:00.25+02:00",
         "2024/05/01/10:00:00.250000",
+        "01.05.2024 10:00:00.25",
+        "1.5.2024  10:00:00.25",
     ],
 )
 @pytest.mark.parametrize("has_header", [True, False])
@@ -361,6 +363,40 @@ def test_stamps_that_are_dates(tmp_path: Path, stamp: str, has_header: bool) -> 
     lines = ["time,0,1,2,3", row] if has_header else [row, row]
     scan, *_ = messages(tmp_path, *lines, **columns, **({} if has_header else STEPS))
     assert scan.stamp == 1714557600.25
+
+
+def test_times_of_day_continue_after_midnight(tmp_path: Path) -> None:
+    stamps = [
+        "23:59:59.5",
+        "23:59:59.75",
+        "0:00:00.25",
+        "00:00:00",
+        "11:00:00",
+        "22:00:00",
+        "0:00:01",
+    ]
+    found = messages(tmp_path, "time;0;1;2", *(f"{stamp};4;5;6" for stamp in stamps))
+    after = [-0.5, -0.25, 0.25, 0.0, 39600.0, 79200.0, 86401.0]
+    assert [scan.stamp - 86400.0 for scan in found] == after
+
+
+def test_days_of_which_the_month_would_be_a_guess_are_not_read(tmp_path: Path) -> None:
+    row = "05/01/2024 10:00:00,4,5,6,7"
+    found, source = read(log(tmp_path, "time,0,1,2,3", row, row))
+    assert not found
+    said = "is not a number, or a time such as 2024-12-31T09:00:00.25; the line is dropped"
+    assert said in source.problems.examples["malformed row"]
+
+
+@pytest.mark.parametrize("word", ["#N/A", "NA", "null", "None", "#NV", "<NA>"])
+def test_words_for_missing_values_are_empty_cells(tmp_path: Path, word: str) -> None:
+    rows = [f"1,1,2,0.5,4,{word},6", f"2,{word},{word},{word},4,5,6", f"3,{word},2,3,4,5,6"]
+    found, source = read(log(tmp_path, "t,x,y,theta,-90,0,90", *rows))
+    assert [(m.stamp, type(m)) for m in found] == [
+        (1.0, OdometryPose), (1.0, LaserScan), (2.0, LaserScan),
+    ]  # fmt: skip
+    np.testing.assert_array_equal(found[1].ranges, [4.0, math.nan, 6.0])
+    assert source.problems.counts == {"malformed row": 1}
 
 
 STEPS: dict[str, object] = {"angle_min": 0.0, "angle_step": 0.1}
@@ -408,6 +444,22 @@ def test_units_in_brackets(tmp_path: Path) -> None:
     speed, _ = messages(tmp_path, "t,v [mm/s],omega [deg/s],0,1,2", "1,500,90,1,2,3")
     assert isinstance(speed, Velocity)
     assert (speed.speed, speed.turn_rate) == pytest.approx((0.5, math.pi / 2))
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "cp1252"])
+def test_the_sign_of_degrees_in_either_encoding(tmp_path: Path, encoding: str) -> None:
+    path = log(tmp_path)
+    text = "t [µs],x,y,theta (°),-90,0,90\n1500000,2,3,90,1,2,3\n"
+    path.write_bytes(text.encode(encoding))
+    pose, _ = read(path)[0]
+    assert pose.stamp == 1.5
+    np.testing.assert_allclose(pose.pose, [2.0, 3.0, math.pi / 2])
+
+
+def test_directions_of_beams_with_decimal_commas(tmp_path: Path) -> None:
+    _, scan = messages(tmp_path, "t;x;y;theta;-0,5;0,25;1", "1;2;3;0,5;1,5;2;3")
+    np.testing.assert_allclose(scan.angles, np.radians([-0.5, 0.25, 1.0]))  # type: ignore[attr-defined]
+    np.testing.assert_array_equal(scan.ranges, [1.5, 2.0, 3.0])  # type: ignore[attr-defined]
 
 
 def test_a_log_whose_ranges_are_all_empty_says_so(tmp_path: Path) -> None:

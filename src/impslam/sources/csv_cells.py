@@ -13,9 +13,10 @@ from impslam.sources.text import beam_angles
 from impslam.types import Array
 
 UNITS = {
-    "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "m": 1.0, "cm": 1e-2, "mm": 1e-3,
-    "rad": 1.0, "deg": math.pi / 180.0,
-    "m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "rad/s": 1.0, "deg/s": math.pi / 180.0,
+    "s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9, "m": 1.0, "cm": 1e-2, "mm": 1e-3,
+    "rad": 1.0, "deg": math.pi / 180.0, "°": math.pi / 180.0,
+    "m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3,
+    "rad/s": 1.0, "deg/s": math.pi / 180.0, "°/s": math.pi / 180.0,
 }  # fmt: skip
 MIN_BEAMS = 3  # minimum number of consecutively numbered columns to recognise them as beams
 EXTRAS = ("covariance", "intensit", "header", "angle_max", "scan_time")
@@ -64,7 +65,7 @@ def is_extra(name: str) -> bool:
 
 def _number(name: str) -> float | None:
     try:
-        value = float(name)
+        value = float(name.replace(",", "."))  # a decimal comma, as what separates cells is no part
     except ValueError:
         return None
     return value if math.isfinite(value) else None

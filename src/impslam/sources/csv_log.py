@@ -35,6 +35,7 @@ from impslam.sources.csv_text import (
     split,
     trim,
 )
+from impslam.sources.csv_times import after_midnight, is_clock
 from impslam.sources.parts import LocatedMessage
 from impslam.sources.text import TextSource
 from impslam.types import (
@@ -155,17 +156,21 @@ class CsvLog(TextSource):
 
     def _messages(self) -> Iterator[LocatedMessage]:
         """Yield the odometry of a row before its scan."""
-        found, width, unit = self._columns(), len(self._header), 0.0
+        found, width, unit, last = self._columns(), len(self._header), 0.0, 0.0
         used = sorted({k for cells in found.cells.values() for k in range(*cells[:2])})
         for number, line in self._lines(self.path):
             text = trim(line)
             if number < self._begin or not text.strip() or text[:1] == b"#":
                 continue
             try:
-                values = numbers(split(text, self._mark), used, width)
+                cells = split(text, self._mark)
+                values = numbers(cells, used, width)
                 stamp = stamp_of(values, found)
                 unit = unit or unit_of(stamp)
-                row = [*odometry(values, found, unit * stamp), *scan(values, found, unit * stamp)]
+                stamp *= unit
+                if is_clock(cells[found.cells["stamp"].first]):
+                    stamp = last = after_midnight(stamp, last)
+                row = [*odometry(values, found, stamp), *scan(values, found, stamp)]
             except (ValueError, MessageError) as error:
                 self._reject("row", self.path, number, error)
                 continue

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from impslam.errors import MessageError
+from impslam.sources.csv_times import time_of
 from impslam.sources.text import head
 from impslam.types import Array
 
@@ -24,6 +24,8 @@ SEPARATORS = (b",", b";", b"\t", b"|", SPACE)
 BOM = b"\xef\xbb\xbf"
 MAX_OPENING = 50  # lines in which the header and two rows are looked for, more than any preamble
 MIN_COLUMNS = 4  # a stamp and three ranges
+MISSING = ("", "na", "n/a", "#n/a", "#nv", "<na>", "null", "none")
+"""Values that spreadsheets, databases and data frames write where there is none, in lower case."""
 _COMMENT = b"#% "
 _ENCLOSED = b"\0"  # stands for what separates cells, but within quotes; no text has it
 
@@ -58,7 +60,7 @@ class Opening(NamedTuple):
 
     @property
     def numbers(self) -> int:
-        """The number of cells of the second that are numbers, dates with times, or empty."""
+        """The number of cells of the second that are numbers, times, or missing."""
         return sum(map(_is_cell, self.second))
 
     @property
@@ -177,8 +179,16 @@ def _separator(lines: Sequence[bytes]) -> bytes:
 
 def names(cells: Sequence[bytes]) -> list[str]:
     """Return the cells of a header, without the sign of a comment."""
-    found = [cell.decode("utf-8", "replace").strip(" \t") for cell in cells]
+    found = [_decode(cell).strip(" \t") for cell in cells]
     return [found[0].lstrip(_COMMENT.decode()), *found[1:]] if found else []
+
+
+def _decode(cell: bytes) -> str:
+    """Return text in UTF-8, or else in the code page of Western Windows, whose degree sign is one byte."""
+    try:
+        return cell.decode("utf-8")
+    except UnicodeDecodeError:
+        return cell.decode("cp1252", "replace")
 
 
 def _is_row(cells: Sequence[bytes]) -> bool:
@@ -196,7 +206,7 @@ def numbers(cells: Sequence[bytes], used: Sequence[int], width: int) -> Array:
     Raises
     ------
     MessageError
-        If there are not `width` cells, or one that is used is neither a number nor a date with a time.
+        If there are not `width` cells, or one that is used is neither a number, nor a time, nor missing.
     """
     if len(cells) != width:
         raise MessageError(f"{len(cells)} cells instead of {width}; write every line with as many")
@@ -209,24 +219,22 @@ def numbers(cells: Sequence[bytes], used: Sequence[int], width: int) -> Array:
 
 
 def _number(cell: bytes) -> float:
-    """Return a cell as a number: s since 1970 for a date with a time, in UTC by default.
-
-    The date is as in ISO 8601, or with slashes.
-    """
+    """Return a cell as a number, or s by `time_of`; NaN for the words for a missing value."""
     text = cell.decode("utf-8", "replace").strip()
     try:
-        return float(text or "nan")
+        return math.nan if text.lower() in MISSING else float(text)
     except ValueError:
         pass
     try:
-        time = datetime.fromisoformat(text.replace("/", "-", 2).replace("/", " "))
+        return time_of(text)
     except ValueError:
-        raise MessageError(f"{text[:40]!r} is not a number") from None
-    return (time if time.tzinfo else time.replace(tzinfo=UTC)).timestamp()
+        raise MessageError(
+            f"{text[:40]!r} is not a number, or a time such as 2024-12-31T09:00:00.25"
+        ) from None
 
 
 def _is_cell(text: bytes) -> bool:
-    """Return whether a cell is a number, a date with a time, or empty."""
+    """Return whether a cell is a number, a date with a time, a time of day, or missing."""
     try:
         _number(text)
     except MessageError:

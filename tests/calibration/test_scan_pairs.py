@@ -26,9 +26,10 @@ MOTION = np.array([0.28, 0.05, 0.2])
 NOISE = (0.005, 0.0)
 
 
-def seen(pose, noise=0.0, rng=None, offset=0.0):
-    """Return the surface seen by a lidar at a pose, with an offset added to its ranges."""
-    scan = cast(ROOM, CIRCLES, pose=np.array(pose), noise=noise, rng=rng).scan
+def seen(pose, noise=0.0, rng=None, offset=0.0, walls=None):
+    """Return the surface seen by a lidar at a pose in the room, or between walls; ranges have an offset."""
+    world = (ROOM, CIRCLES) if walls is None else (walls,)
+    scan = cast(*world, pose=np.array(pose), noise=noise, rng=rng).scan
     rows = features(with_ranges(scan, scan.ranges + offset, scan.valid), 0.0, smooth=False)
     return surface(rows[rows[:, 4] > 0])
 
@@ -51,7 +52,7 @@ def test_scans_of_different_places_do_not_match():
 def test_jacobian_by_the_pose():
     """Points are up to 2 cm beside their partners, so b's half of the rotating normal moves e by 1 cm."""
     a, b, at = seen(np.zeros(3)), seen(MOTION), MOTION + np.array([0.002, -0.003, 0.001])
-    e, J, off = _misfit(a, b, at, 0.05, NOISE)
+    e, J, off, _ = _misfit(a, b, at, 0.05, NOISE)
     found = jacobian(lambda pose: _misfit(a, b, pose, 0.05, NOISE)[2], at, 1e-7)
     error = np.abs(J[:, :3] * (off / e)[:, None] - found)
     assert np.quantile(error, 0.98) < 0.012
@@ -62,7 +63,7 @@ def test_jacobian_by_an_offset_of_all_ranges():
     at, offset = MOTION + np.array([0.002, -0.003, 0.001]), 2e-4  # points are float32
     a, b = seen(np.zeros(3)), seen(MOTION)
     long_a, long_b = seen(np.zeros(3), offset=offset), seen(MOTION, offset=offset)
-    e, J, off = _misfit(a, b, at, 0.05, NOISE)
+    e, J, off, _ = _misfit(a, b, at, 0.05, NOISE)
     moved = _misfit(long_a, long_b, at, 0.05, NOISE)[2]
     assert len(moved) == len(off)
     error = np.abs(J[:, 3] * (off / e) - (moved - off) / offset)
@@ -81,6 +82,25 @@ def test_errors_are_consistent_with_the_information(rng):
         error = found.T_a_b - motion
         nees.append(error @ found.information[:3, :3] @ error)
     assert 0.7 < np.mean(nees) / 3.0 < 1.8
+
+
+@pytest.mark.parametrize("noise", [0.003, 0.01])
+def test_errors_of_normals_do_not_determine_the_position_along_a_corridor(rng, noise):
+    """Matches stay near a guess that is 1 m off; the position across and the turn are known."""
+    walls, heading, nees = room(-50.0, 50.0, -1.0, 1.0), 0.3, []
+    begin, motion = np.array([0.0, 0.1, heading]), np.array([1.0, 0.02, 0.05])
+    along = np.array([np.cos(heading), -np.sin(heading), 0.0])
+    across = np.array([np.sin(heading), np.cos(heading), 0.0])
+    for _ in range(20):
+        a, b = (seen(pose, noise, rng, walls=walls) for pose in (begin, compose(begin, motion)))
+        found = align(a, b, motion - along, (noise, 0.0))
+        C = np.linalg.inv(found.information + 1e-6 * np.eye(4))[:3, :3]
+        assert np.sqrt(along @ C @ along) > 5.0
+        assert np.sqrt(across @ C @ across) < 0.05
+        assert np.sqrt(C[2, 2]) < 0.01
+        error = found.T_a_b - motion
+        nees.append(error @ np.linalg.solve(C, error))
+    assert np.mean(nees) < 6.0
 
 
 def test_noise_does_not_bias_the_range_offset(rng):

@@ -19,15 +19,15 @@ from impslam.calibration.odometry_models import (
     sum_between,
 )
 from impslam.calibration.residuals import LIDAR_PARAMETERS, CalibrationDrive, residuals
-from impslam.calibration.scan_pairs import LidarMotions
+from impslam.calibration.scan_pairs import UNDETERMINED, LidarMotions
 from impslam.geometry.se2 import exp, log
 from impslam.types import Array
 
 MATCHING = ("matching", "matching_yaw", "matching_offset", "jitter")
 """Errors of matches in addition to the noise of their scans, m, rad and m; and of their stamps, s."""
 _JITTER = MATCHING.index("jitter")
-MIN_INFORMATION = np.diag([1.0, 1.0, 1.0, 1.0])
-"""Added to that of every motion: of 1 m and 1 rad, so that it is invertible along a corridor."""
+MIN_INFORMATION = UNDETERMINED * np.eye(4)
+"""Added to that of every motion, so that it is invertible along a corridor."""
 UNITS = {
     "matching": "m",
     "matching_yaw": "rad",

@@ -67,10 +67,11 @@ def find_misfit(
     noise: tuple[float, float],
     out: Array,
 ) -> int:
-    """Fill rows of out (n + m, 6) with the misfit of pairs of points, and return how many.
+    """Fill rows of out (n + m, 10) with the misfit of pairs of points, and return how many.
 
     A row is the distance of a point of b from the line of one of a, divided by its standard deviation;
-    its derivatives by x, y and yaw of the pose and by an offset of all ranges; and the distance in m.
+    its derivatives by x, y and yaw of the pose and by an offset of all ranges; the distance in m; and the
+    errors of the derivatives if both normals have independent errors of the size of their difference.
     Points are paired with their nearest neighbours in both directions: they are denser close to the lidar,
     so a nearest neighbour is more often a closer point measured too long, and pairing in one direction
     alone would bias ranges by some sigma^2 / r.
@@ -99,7 +100,10 @@ def _fill_row(
     noise: tuple[float, float],
     out: Array,
 ) -> int:
-    """Fill e, its derivatives and the distance, (6,), of a pair; return 0 if its normals differ, else 1."""
+    """Fill e, its derivatives, the distance and the errors of derivatives, (10,), of a pair.
+
+    Returns 0 if its normals differ, else 1.
+    """
     (j, i), (c, s) = rows, turn
     mx, my = c * b.normals[i, 0] - s * b.normals[i, 1], s * b.normals[i, 0] + c * b.normals[i, 1]
     if mx * a.normals[j, 0] + my * a.normals[j, 1] <= MIN_FACING:
@@ -116,6 +120,15 @@ def _fill_row(
     off = nx * (rx + pose[0] - px) + ny * (ry + pose[1] - py)
     out[0], out[1], out[2] = off / sigma, nx / sigma, ny / sigma
     out[3], out[4], out[5] = (ny * rx - nx * ry) / sigma, (along_b - along_a) / sigma, off
+    # The mean of two normals is off by half of their difference, rms, in the direction (-ny, nx).
+    tilt = 0.5 * (mx * a.normals[j, 1] - my * a.normals[j, 0])
+    aside = (nx * ry - ny * rx) / far_b - (nx * py - ny * px) / far_a
+    out[6], out[7], out[8] = (
+        -ny * tilt / sigma,
+        nx * tilt / sigma,
+        (nx * rx + ny * ry) * tilt / sigma,
+    )
+    out[9] = aside * tilt / sigma
     return 1
 
 

@@ -49,6 +49,11 @@ MIN_CHI2 = 1e-4
 SHAPE_SIGMA = 0.0015
 """m: systematic error of a range offset due to corners and to correlated errors of points and normals: 0.1
 to 0.4 mm in simulations, 2 mm with another simulator's lidar. It does not average out over drives."""
+MIN_DETERMINED = 10.0
+"""Information along an axis, in multiples of that by errors of the normals, from which scans determine it.
+Along a bare wall it is 1, in rooms 100 or more."""
+UNDETERMINED = 0.01
+"""1/m^2, 1/rad^2: that of an unknown motion. A robot drives less than 10 m in `MAX_INTERVAL`."""
 MAX_ITERATIONS = 20
 CONVERGENCE = 1e-5
 """m, rad of the last step: a hundredth of the uncertainty of a match."""
@@ -219,7 +224,7 @@ def align(a: Surface, b: Surface, guess: Array, noise: tuple[float, float]) -> P
         return None
     pose, scale = np.array(guess), 1.0
     for k in range(MAX_ITERATIONS):
-        e, J, _ = _misfit(a, b, pose, max(START_RADIUS * 0.5**k, END_RADIUS), noise)
+        e, J, *_ = _misfit(a, b, pose, max(START_RADIUS * 0.5**k, END_RADIUS), noise)
         if len(e) < MIN_POINTS:
             return None
         sigma = 1.4826 * _median(np.abs(e))  # 0 if the lidar repeats a scan
@@ -229,7 +234,7 @@ def align(a: Surface, b: Surface, guess: Array, noise: tuple[float, float]) -> P
         pose += step
         if np.abs(step).max() < CONVERGENCE:
             break
-    e, J, off = _misfit(a, b, pose, END_RADIUS, noise)
+    e, J, off, J_errors = _misfit(a, b, pose, END_RADIUS, noise)
     near = np.abs(e) < scale
     count = 0.5 * float(near.sum())  # each point is in two pairs, on average
     if count < MIN_POINTS or count < MIN_SHARE * smaller:
@@ -239,24 +244,44 @@ def align(a: Surface, b: Surface, guess: Array, noise: tuple[float, float]) -> P
     joint = np.append(pose, 0.0) - np.linalg.pinv(H, 1e-9, hermitian=True) @ (
         0.5 * J[near].T @ e[near]
     )
-    H /= chi2 * 0.5 * (a.shared + b.shared)
-    return PairAlignment(pose, joint, H, float(off[near].std()), count / smaller)
+    spurious = 0.5 * J_errors[near].T @ J_errors[near]
+    scale = 1.0 / (chi2 * 0.5 * (a.shared + b.shared))
+    information = _determined(scale * H, scale * spurious)
+    return PairAlignment(pose, joint, information, float(off[near].std()), count / smaller)
+
+
+def _determined(H: Array, spurious: Array) -> Array:
+    """Return the information H (4, 4) without that on poses that only errors of normals determine.
+
+    Such errors make a bare wall look as if it determined the position along itself: they contribute
+    `spurious` (4, 4). Along axes v of poses with H v = w spurious v and small w, the variance of an unknown
+    motion is added to that of the match (Woodbury's identity).
+    """
+    known = 1e-6 * H.diagonal()[:3] + 1e-9  # normals are known to 1 mrad at best
+    inverse = np.linalg.inv(np.linalg.cholesky(spurious[:3, :3] + np.diag(known)))
+    w, U = np.linalg.eigh(inverse @ H[:3, :3] @ inverse.T)
+    out = H.copy()
+    for v in (inverse.T @ U)[:, w < MIN_DETERMINED].T:
+        unit = v / np.linalg.norm(v)
+        along = out[:, :3] @ unit
+        out -= np.outer(along, along) / (UNDETERMINED + along[:3] @ unit)
+    return out
 
 
 def _misfit(
     a: Surface, b: Surface, pose: Array, radius: float, noise: tuple[float, float]
-) -> tuple[Array, Array, Array]:
+) -> tuple[Array, Array, Array, Array]:
     """Return normalised distances (k,) of points of b from lines of a, their derivatives, and m (k,).
 
     The derivatives (k, 4) of the normalised distances are by x, y and yaw of the pose, and by an offset of
     all ranges. The last result is the distances in m.
     """
-    out = np.empty((len(a.points) + len(b.points), 6))
+    out = np.empty((len(a.points) + len(b.points), 10))
     of_a, of_b = (
         IndexedSurface(plain(s.points), plain(s.normals), s.points[s.by_x], s.by_x) for s in (a, b)
     )
     out = out[: find_misfit(of_a, of_b, plain(pose), radius, noise, out)]
-    return out[:, 0], out[:, 1:5], out[:, 5]
+    return out[:, 0], out[:, 1:5], out[:, 5], out[:, 6:]
 
 
 def facing_partners(

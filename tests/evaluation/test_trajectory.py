@@ -16,6 +16,7 @@ from impslam.evaluation.trajectory import (
     heading_errors,
     interpolate,
     interpolation_error,
+    misfit,
     position_errors,
     rpe,
     start_frame,
@@ -44,6 +45,51 @@ def test_alignment_never_mirrors(rng):
     mirrored = points * [1.0, -1.0]
     error = transform(align(points, mirrored), points) - mirrored
     assert np.abs(error).max() > 0.1
+
+
+def lap(rng):
+    """A path that looks like no other part of itself, and a truth 1 cm from it in another frame."""
+    t = np.linspace(0.0, 10.0, 200)
+    path = np.c_[4 * np.cos(t), 2 * np.sin(t) + 0.2 * t, 0.3 * t]
+    truth = compose(np.array([5e5, -3e6, 2.0]), path)
+    return t, path, truth + np.c_[rng.normal(0.0, 0.01, (200, 2)), np.zeros(200)]
+
+
+@pytest.mark.parametrize("scale", [1.0, 1.03, 0.97])
+def test_a_truth_that_fits_is_not_doubted(rng, scale):
+    t, path, truth = lap(rng)
+    truth[:, :2] *= scale
+    assert misfit(PosePairs(t, path, truth)) == ""
+    truth[:, 2] = np.nan
+    assert misfit(PosePairs(t, path, truth)) == ""
+    line = np.c_[t, np.zeros_like(t), np.zeros_like(t)]
+    assert misfit(PosePairs(t, line, line * [1.0, -1.0, 1.0])) == ""
+    standing = np.zeros((200, 3))
+    assert misfit(PosePairs(t, standing, truth)) == misfit(PosePairs(t, path, standing)) == ""
+
+
+def test_a_path_that_is_wrong_is_not_the_fault_of_the_truth(rng):
+    t, path, truth = lap(rng)
+    bent = compose(np.c_[np.zeros((200, 2)), 0.1 * t], path)
+    assert misfit(PosePairs(t, bent, truth)) == ""
+
+
+@pytest.mark.parametrize(("unit", "said"), [(1000.0, "is 1000 times"), (0.3048, "is 0.3048 times")])
+def test_a_truth_in_another_unit_is_named(rng, unit, said):
+    t, path, truth = lap(rng)
+    assert said in misfit(PosePairs(t, path, truth * [unit, unit, 1.0]))
+
+
+def test_a_mirrored_truth_is_named(rng):
+    t, path, truth = lap(rng)
+    assert "mirrored" in misfit(PosePairs(t, path, truth * [1.0, -1.0, -1.0]))
+    assert "mirrored" in misfit(PosePairs(t, path, truth * [1e3, -1e3, -1.0]))
+
+
+def test_headings_of_a_body_that_is_mounted_otherwise_are_named(rng):
+    t, path, truth = lap(rng)
+    truth[:, 2] += math.pi / 2.0
+    assert "by 90 deg (median)" in misfit(PosePairs(t, path, truth))
 
 
 def test_alignment_is_the_best_motion(rng):

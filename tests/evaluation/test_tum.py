@@ -25,6 +25,11 @@ def test_comments_and_commas_are_understood(tmp_path):
     np.testing.assert_array_equal(read_tum(tmp_path / "a.tum"), [[1, 2, 3, 0]])
 
 
+def test_a_byte_order_mark_is_left_out(tmp_path):
+    (tmp_path / "a.tum").write_bytes(b"\xef\xbb\xbf1 2 3 0 0 0 0 1\r\n")
+    np.testing.assert_array_equal(read_tum(tmp_path / "a.tum"), [[1, 2, 3, 0]])
+
+
 @pytest.mark.parametrize(
     ("text", "why"),
     [

@@ -26,6 +26,7 @@ from impslam.evaluation.quality import Quality, quality
 from impslam.evaluation.relations import RelationErrors, read_relations, relation_errors
 from impslam.evaluation.run_files import RecordedRun, read_run
 from impslam.evaluation.scores import KindScore, PathScore, score_kinds, score_path
+from impslam.evaluation.trajectory import misfit
 from impslam.evaluation.tum import read_tum
 from impslam.paths import short_names, write_bytes
 from impslam.types import Array, TrueLandmark
@@ -177,7 +178,7 @@ def _show(scores: Mapping[str, Scores], references: References) -> None:
 
 
 def _warn_of_truth(name: str, score: PathScore, total: int) -> None:
-    """Warn of poses of a run without truth, and of a truth that is too sparse to measure the errors."""
+    """Warn of poses of a run without truth, and of a truth that is too sparse or cannot be right."""
     if lacking := total - len(score.pairs.stamps):
         log.warning(
             "%s: the truth lacks %d of %d poses, which are not scored", name, lacking, total
@@ -188,6 +189,8 @@ def _warn_of_truth(name: str, score: PathScore, total: int) -> None:
             "errors contain",
             *(name, score.interpolation),
         )
+    if wrong := misfit(score.pairs):
+        log.warning("%s: the truth %s", name, wrong)
 
 
 def _by_kind(

@@ -10,6 +10,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from impslam.errors import ImpError
 from impslam.geometry.angles import wrap
@@ -20,6 +21,13 @@ START_DURATION = 1.0
 """s after the first pose within which a first known heading counts as the heading at the start."""
 POSE_TOLERANCE = (0.05, math.radians(3.0))
 """m and rad: two poses closer than this are assumed to be in the same frame."""
+
+BETTER_FIT = 3.0
+"""Ratio of two RMS errors from which the truth and the path clearly differ in unit or handedness."""
+MAX_SCALE = 1.05
+"""Ratio of lengths that errors of a lidar or of a survey explain."""
+MAX_TURN = math.radians(20.0)
+"""Heading error that only wrong headings of the truth explain, if the positions fit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,6 +146,41 @@ def align(points: Array, target: Array) -> Array:
     theta = math.atan2(cross, dot)
     shift = wanted - transform(np.array([0.0, 0.0, theta]), centre[None])[0]
     return np.array([shift[0], shift[1], theta])
+
+
+def misfit(pairs: PosePairs) -> str:
+    """Say what is wrong with a truth that fits the path in another unit, mirrored or turned; else "".
+
+    With positions p of the path and q of the truth as complex numbers, centred, the similarity q = a p
+    leaves sum |q|^2 - |sum p* q|^2 / sum |p|^2. If the truth is mirrored, p takes the place of p*.
+    """
+    p, q = _centred(pairs.estimate), _centred(pairs.truth)
+    size, true_size = float(np.sum(np.abs(p) ** 2)), float(np.sum(np.abs(q) ** 2))
+    if not min(size, true_size) > 0.0:
+        return ""
+    direct, mirrored = float(abs(np.vdot(p, q))), float(abs(p @ q))
+    rigid, best = size + true_size - 2.0 * direct, max(direct, mirrored)
+    scale = best / size
+    if (true_size - best * scale) * BETTER_FIT**2 < rigid * scale**2:
+        if mirrored > direct:
+            return (
+                "fits the path if it is mirrored; its y axis must point to the left of its x axis"
+            )
+        if abs(math.log(scale)) > math.log(MAX_SCALE):
+            return f"is {scale:.4g} times as large as the path, but fits otherwise; it must be in m"
+    turn = statistics(heading_errors(pairs.aligned())).median
+    if turn > MAX_TURN and rigid * BETTER_FIT**2 < true_size:
+        return (
+            f"has other headings than the path, by {math.degrees(turn):.0f} deg (median), although its"
+            " positions fit; check the order qx qy qz qw, and where x of the tracked body points"
+        )
+    return ""
+
+
+def _centred(poses: Array) -> NDArray[np.complex128]:
+    """Return the positions of poses (n, 3) relative to their mean, as complex numbers (n,)."""
+    positions: NDArray[np.complex128] = poses[:, 0] + 1j * poses[:, 1]
+    return np.asarray(positions - positions.mean(), np.complex128)
 
 
 def is_same_pose(a: Array, b: Array) -> bool:

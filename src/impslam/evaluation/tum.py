@@ -96,7 +96,7 @@ def read_numbers(
     ImpError
         If the file cannot be read, or a row does not have `columns` such numbers.
     """
-    lines = read_text(path, advice).splitlines()
+    lines = read_text(path, advice).removeprefix("\ufeff").splitlines()  # the BOM of Windows
     if head and lines[:1] != [head]:
         raise ImpError(f"{path}: does not begin with {head!r}; write it again with `imp run`")
     for number, line in enumerate(lines, 1):

@@ -113,6 +113,29 @@ def test_joints_by_name(tmp_path: Path) -> None:
     assert (wheels.left, wheels.right) == (0.0, 2.0)
 
 
+@pytest.mark.parametrize(
+    ("names", "expected"),
+    [
+        (["wheel_FL_joint", "wheel_RL_joint", "wheel_FR_joint", "wheel_RR_joint"], (0.0, 2.0)),
+        (["rr_wheel", "rl_wheel", "fr_wheel", "fl_wheel", "arm_l"], (3.0, 2.0)),
+        (["wheel_rf", "wheel_rr", "wheel_lf", "wheel_lr"], (2.0, 0.0)),
+        (["wheel_r", "wheel_l"], (1.0, 0.0)),
+        (["wheel_l", "left_arm", "right_wheel", "left_wheel"], (3.0, 2.0)),
+    ],
+)
+def test_wheels_with_abbreviated_sides(
+    tmp_path: Path, names: list[str], expected: tuple[float, float]
+) -> None:
+    values = [float(k) for k in range(len(names))]
+    (wheels,) = read(bag(tmp_path / "b", ("/js", joints(ROS2, names, values))))[0]
+    assert (wheels.left, wheels.right) == expected
+
+
+def test_abbreviations_of_other_joints_are_no_wheels(tmp_path: Path) -> None:
+    entry = ("/js", joints(ROS2, ["arm_l", "arm_r", "wheel_steering"], [1.0, 2.0, 3.0]))
+    assert not read(bag(tmp_path / "b", entry))[0]
+
+
 def test_joints_that_another_program_publishes_are_no_problem(tmp_path: Path) -> None:
     tilt = [("/js", joints(ROS2, ["laser_tilt_joint"], [0.1 * k], 1.0 + k)) for k in range(20)]
     wheels = [("/js", joints(ROS2, ["left", "right"], [1.0, 2.0], 0.5 + k)) for k in range(9)]
@@ -485,8 +508,8 @@ def test_joints_without_wheels_are_not_read(tmp_path: Path) -> None:
     ("names", "said"),
     [
         (
-            ["wheel_l", "wheel_r"],
-            "no wheels among the joints wheel_l, wheel_r; name them with --set",
+            ["wheel_1", "wheel_2"],
+            "no wheels among the joints wheel_1, wheel_2; name them with --set",
         ),
         (["left_wheel", "right_wheel"], "velocities, but no positions"),
         (

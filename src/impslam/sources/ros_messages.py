@@ -7,6 +7,7 @@ of REP 103, and of `sensor_msgs/Imu` for unknown values (first covariance entry 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from typing import Any, TypeAlias
 
@@ -33,6 +34,11 @@ Joints: TypeAlias = tuple[int, int]
 
 NANOSECONDS = 10**9
 LEFT, RIGHT = "left_wheel_joint", "right_wheel_joint"
+ABBREVIATIONS = {
+    "left": {"l", "fl", "lf", "ml", "lm", "rl", "lr", "bl", "lb"},
+    "right": {"r", "fr", "rf", "mr", "rm", "rr", "br", "rb"},
+}
+"""Words for the sides in names of wheels: front, middle and rear or back, left and right."""
 
 
 def seconds(nanoseconds: int) -> float:
@@ -166,7 +172,8 @@ def find_joints(names: Sequence[str], left: str, right: str) -> Joints | None:
     """Return the indices of the left and the right wheel, or None.
 
     Without exact names, take the first name in alphabetical order that contains "left" ("right"), with
-    preference for names that contain "wheel".
+    preference for names that contain "wheel"; else the first wheel whose side is abbreviated, as in
+    "wheel_FL_joint". Of four wheels, both are then of the same axle.
     """
     found = (_joint(names, left, "left"), _joint(names, right, "right"))
     return None if None in found else (found[0] or 0, found[1] or 0)
@@ -176,7 +183,12 @@ def _joint(names: Sequence[str], exact: str, side: str) -> int | None:
     if exact:
         return names.index(exact) if exact in names else None
     fit = [(("wheel" not in n.lower()), n) for n in names if side in n.lower()]
+    fit = fit or [(False, n) for n in names if _is_abbreviated_wheel(n.lower(), side)]
     return names.index(min(fit)[1]) if fit else None
+
+
+def _is_abbreviated_wheel(name: str, side: str) -> bool:
+    return "wheel" in name and not ABBREVIATIONS[side].isdisjoint(re.split(r"[^a-z]+", name))
 
 
 def _planar(position: RosMessage, orientation: RosMessage) -> Array:

@@ -98,6 +98,18 @@ def test_a_bare_corridor_cannot_be_aligned():
     assert align_maps(one.keyframes, other.keyframes).outcome is not RelationStatus.FOUND
 
 
+def test_stretches_that_fit_at_several_places_are_counted():
+    """Two drives through a hall that looks the same when turned by 180 degrees."""
+    hall = np.concatenate([room(-8.0, 8.0, -5.0, 5.0), walls([-5, 0, -2, 0], [2, 0, 5, 0])])
+    lap = np.concatenate(
+        [way(-6.5, -3, 6.5, -3, 20), way(6.5, -3, 6.5, 3, 10), way(6.5, 3, -6.5, 3, 20)]
+    )
+    found = align_maps(mapped(hall, lap).keyframes, mapped(hall, lap, seed=1).keyframes)
+    assert found.outcome is not RelationStatus.FOUND
+    assert found.uncertain >= found.searched / 2
+    assert f"{found.uncertain} fit at several places, or uncertainly" in found.words
+
+
 def test_a_map_of_one_place_is_too_short_to_be_aligned():
     one, other = mapped(OFFICE, ALONG), mapped(OFFICE, ALONG[:1], seed=1)
     assert align_maps(one.keyframes, other.keyframes).outcome is RelationStatus.APART

@@ -77,6 +77,7 @@ class MapRelation(NamedTuple):
     links : the stretches that agree on it
     found, searched : numbers of matched and of searched stretches
     misfit : share of the second map's beams near the links that contradict the first one
+    uncertain : number of stretches that fit at several places, or only perhaps
     """
 
     outcome: RelationStatus
@@ -85,6 +86,7 @@ class MapRelation(NamedTuple):
     found: int
     searched: int
     misfit: float = 0.0
+    uncertain: int = 0
 
     @property
     def words(self) -> str:
@@ -98,8 +100,13 @@ class MapRelation(NamedTuple):
                 "of the beams there contradict the other map, as those of another floor do"
             )
         if self.outcome is RelationStatus.AMBIGUOUS:
-            return f"their relative pose is ambiguous: only {agreement}, {self.found} were found"
-        return f"they have no place in common ({self.searched} stretches were searched for)"
+            others = f"{self.found} were found{self._others}"
+            return f"their relative pose is ambiguous: only {agreement}, {others}"
+        return f"they have no place in common ({self.searched} stretches were searched for{self._others})"
+
+    @property
+    def _others(self) -> str:
+        return f", {self.uncertain} fit at several places, or uncertainly" if self.uncertain else ""
 
 
 def aligned_to(first: Map, second: Map, progress: Progress = lambda _: None) -> Map:
@@ -130,13 +137,14 @@ def align_maps(
         int(rows[-1]): query([views[row] for row in rows], second.poses[rows]) for rows in stretches
     }
     links: list[SegmentMatch] = []
-    found = MapRelation(RelationStatus.APART, np.zeros(3), (), 0, 0)
+    found, uncertain = MapRelation(RelationStatus.APART, np.zeros(3), (), 0, 0), 0
     for k, (row, stretch) in enumerate(scans.items()):
         progress(k / len(scans))
         answer = relocaliser.find_query(stretch)
         if answer.verdict is Verdict.FOUND:
             links.append(SegmentMatch(row, answer.hypotheses[0].pose))
-        found = judge(links, second.poses, k + 1)
+        uncertain += answer.verdict is Verdict.AMBIGUOUS
+        found = judge(links, second.poses, k + 1)._replace(uncertain=uncertain)
         if found.outcome is RelationStatus.FOUND and len(found.links) >= ENOUGH:
             break
     return _verified(found, relocaliser, scans, second.poses)

@@ -1,5 +1,6 @@
 """A robot with a lidar ahead and one turned round behind, from its log to the map."""
 
+import itertools
 import json
 import math
 from dataclasses import replace
@@ -9,7 +10,11 @@ import pytest
 
 import impslam
 from impslam.cli import main
+from impslam.columns import batches
+from impslam.config import load
 from impslam.errors import ConfigError
+from impslam.observers.health import HealthMonitor
+from impslam.run import Run
 from impslam.simulation.robot import Lidar, SimulatedRobot, WheelEncoders
 from impslam.simulation.simulate import simulate
 from impslam.simulation.world import load_world
@@ -180,6 +185,34 @@ def worst(path, truth):
     path = path[path[:, 0] <= stamps[-1]]
     nearest = stamps[np.abs(path[:, :1] - stamps).argmin(axis=1)]
     return max(math.dist(row[1:3], truth[t][:2]) for row, t in zip(path, nearest, strict=True))
+
+
+WIDE = {"beams": 541, "angle_min": -2.36, "angle_step": 4.72 / 540, "beam_time": 0.0, "rate": 20.0}
+
+
+def at_rest(name, mount, offset):
+    """Yield rows of 3 s at rest, with noise with which scans at rest are matched."""
+    world, lidar = load_world("office"), Lidar(mount=mount, sigma=0.02, range_max=20.0, **WIDE)
+    world = world.model_copy(update={"robot": world.robot.model_copy(update={"rest": 3.0})})
+    robot = SimulatedRobot(lidar=lidar, encoders=WheelEncoders.perfect(), imu=None)
+    for m in itertools.takewhile(lambda m: m.stamp < 1003.0, simulate(world, robot)):
+        if isinstance(m, LaserScan):
+            yield name, replace(m, stamp=m.stamp + offset)
+        elif not offset:
+            yield type(m).__name__, m
+
+
+def test_a_robot_at_rest_is_not_pushed_if_a_mount_is_off_by_1_cm(tmp_path):
+    """The scans of the two lidars fit poses that are as far apart, in turn."""
+    off = REAR[0] + 0.01, REAR[1], REAR[2]
+    rows = [*at_rest("front", FRONT, 0.0), *at_rest("rear", off, 0.01)]
+    monitor, matched = HealthMonitor(), ["tracker.kind=scan_to_map", "estimator.kind=graph"]
+    run = Run(load(config(tmp_path, "front", "rear"), matched), [monitor])
+    for batch in batches(sorted(rows, key=lambda row: row[1].stamp)):
+        run.feed(batch)
+    run.flush()
+    assert run.scans > 100
+    assert monitor.health.counts()["TRACKING"] == run.scans
 
 
 def test_inspect_tells_the_lidars_apart(rows, tmp_path, capsys, monkeypatch):

@@ -139,6 +139,17 @@ def test_noise_of_turns_by_wheels_is_no_turn():
         assert check_motion(faults, odometry, AHEAD / 2.0, True, False, 0.05)[0] == NONE
 
 
+@pytest.mark.parametrize(("pushed", "expected"), [(0.0, NONE), (0.01, PUSHED)])
+def test_a_difference_between_two_lidars_is_no_motion(pushed, expected):
+    """At rest, the pose jumps by 1 cm from lidar to lidar, 40 times a second."""
+    faults = initial_faults()
+    for k in range(120):
+        scans = np.array([pushed + 0.01 * (-1.0) ** k, 0.0, 0.0])
+        reason, _ = check_motion(faults, STILL, scans, True, False, 0.025)
+        assert reason in {NONE, expected}
+    assert reason == expected
+
+
 def test_wheels_that_turn_the_robot_on_the_spot_do_not_stand_still():
     """A lidar 0.2 m off the axis moves as well; odometry does not show this if the mount is unknown."""
     faults, turn = initial_faults(), np.array([0.0, 0.0, 0.4])

@@ -89,8 +89,9 @@ class MatchFaults(NamedTuple):
     poor : (2,) scans in a row that do not fit, and s since the first of them, or more if the robot has gone
         farther than it can in that time
     shares : (2,) mean of the inlier share of many scans, and its variance
-    odometry, scans : (4,) by odometry and by the scans: m travelled and rad turned either way within
-        `WINDOW`, m forward within `LONG_WINDOW`, and rad turned to the left within `WINDOW`
+    odometry, scans : (6,) by odometry and by the scans: m travelled and rad turned either way within
+        `WINDOW`, m forward within `LONG_WINDOW`, and rad turned to the left, m forward and m to the left
+        within `WINDOW`
     unlocated : (1,) m travelled since a scan last determined the position
     turns : (2,) sums of the products of turns by odometry and by scans, and of their magnitudes, rad^2
     disputed : (1,) m that scans have shown less than odometry since the two disagree
@@ -129,8 +130,8 @@ def initial_faults() -> MatchFaults:
     return MatchFaults(
         np.zeros(2),
         np.array([INITIAL_SHARE[0], INITIAL_SHARE[1] ** 2]),
-        np.zeros(4),
-        np.zeros(4),
+        np.zeros(6),
+        np.zeros(6),
         np.zeros(1),
         np.zeros(2),
         np.zeros(1),
@@ -193,6 +194,8 @@ def check_motion(
         sums[1] = keep * sums[1] + abs(motion[2])
         sums[2] *= math.exp(-duration / LONG_WINDOW)
         sums[3] = keep * sums[3] + motion[2]
+        sums[4] = keep * sums[4] + motion[0]
+        sums[5] = keep * sums[5] + motion[1]
     faults.odometry[2] += odometry[0]
     difference = min(max(scans[0] - odometry[0], -MAX_STEP), MAX_STEP)
     faults.scans[2] += odometry[0] + difference
@@ -263,19 +266,22 @@ def current_fault(faults: MatchFaults, duration: float) -> tuple[int, float]:
 
 @kernel
 def _stands(one: Array, other: Array) -> bool:
-    """Return whether one source of the sums (4,) shows a stationary robot, and the other one does not.
-
-    Turns must differ either way and in sum: noise of wheels adds up in the former alone, and turns to and
-    fro cancel in the latter.
-    """
-    if other[0] > MIN_MOTION[0] and one[0] < STATIONARY_SHARE * other[0]:
-        return True
-    least = min(other[1], abs(other[3]))
-    return bool(
-        least > MIN_MOTION[1]
-        and one[1] < STATIONARY_SHARE * other[1]
-        and abs(one[3]) < STATIONARY_SHARE * abs(other[3])
+    """Return whether one source of the sums (6,) shows a stationary robot, and the other one does not."""
+    net, other_net = math.hypot(one[4], one[5]), math.hypot(other[4], other[5])
+    return _is_small(one[0], net, other[0], other_net, MIN_MOTION[0]) or _is_small(
+        one[1], abs(one[3]), other[1], abs(other[3]), MIN_MOTION[1]
     )
+
+
+@kernel
+def _is_small(way: float, net: float, other_way: float, other_net: float, least: float) -> bool:
+    """Return whether one motion is that of a stationary robot, and the other one is more than `least`.
+
+    They must differ in the way and in the net motion: errors add up in the former alone, as those of the
+    wheels, or of the matches of two lidars in turn, and motions to and fro cancel in the latter.
+    """
+    small = way < STATIONARY_SHARE * other_way and net < STATIONARY_SHARE * other_net
+    return bool(small and min(other_way, other_net) > least)
 
 
 @kernel

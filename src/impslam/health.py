@@ -26,6 +26,7 @@ has failed. LOST: it may be anywhere; the map does not change.
     MISALIGNED,
     MISSCALED,
     MISTIMED,
+    DISTORTED,
     OPEN,
     BLIND,
     COVERED,
@@ -51,15 +52,16 @@ has failed. LOST: it may be anywhere; the map does not change.
     ELSEWHERE,
     UNPLACED,
     NOT_FINITE,
-) = range(29)
-"""The reasons. `OPEN` and `GROWN` come with a distance in m, `MISTIMED` and `SKIPPED` with s, `MISALIGNED`
-with degrees, `INCONSISTENT` with a ratio; `MISSCALED`, `COVERED`, `CHANGED`, `CARRIED`, `UNEXPLAINED` and
-`ELSEWHERE` with a share."""
+) = range(30)
+"""The reasons. `OPEN` and `GROWN` come with a distance in m, `MISTIMED`, `DISTORTED` and `SKIPPED` with s,
+`MISALIGNED` with degrees, `INCONSISTENT` with a ratio; `MISSCALED`, `COVERED`, `CHANGED`, `CARRIED`,
+`UNEXPLAINED` and `ELSEWHERE` with a share."""
 _DESCRIPTIONS = (
     "",
     "the lidar is rotated by {0:.1f} deg relative to its configured mount; the heading is off by as much",
     "odometry and ranges differ by {1:.1f} % in scale; distances are uncertain by as much",
     "scans are stamped {0:.2f} s late or early on the clock of odometry; the pose is for another time",
+    "the beams of a scan are timed wrongly, by {0:.2f} s from the first to the last; turns distort the map",
     "no feature along the corridor for {0:.1f} m",
     "the lidar sees nothing; the pose is dead-reckoned",
     "{1:.0f} % of the beams hit something that moves with the robot; they are left out",
@@ -166,7 +168,8 @@ class Health(NamedTuple):
     @property
     def needs_inspection(self) -> bool:
         """Whether a mount, a clock or a scale seems wrong: `imp inspect` measures them."""
-        return bool(np.isin(self.reasons, (MISALIGNED, MISSCALED, MISTIMED)).any())
+        measured = MISALIGNED, MISSCALED, MISTIMED, DISTORTED
+        return bool(np.isin(self.reasons, measured).any())
 
     def spans(self) -> Iterator[Span]:
         """Yield the spans of scans that cannot be trusted, in order."""

@@ -201,6 +201,8 @@ def test_a_sweep_in_the_wrong_order_is_named_before_a_run(imp, arena, tmp_path) 
         words = " ".join(imp(*command, arena, *wrong).out.split())
         assert problem in words
         assert "--set sensors.lidar.last_beam_first=false" in words
+    assert "the beams of a scan are timed wrongly, by 0.13 s from the first to the last" in words
+    assert "TRACKING" not in words
 
 
 def test_a_finding_and_its_setting(imp, arena, tmp_path) -> None:

@@ -233,7 +233,7 @@ def show_result(known: Map, outcome: Outcome, folder: Path, *, with_speed: bool 
     console.echo(f"pose: {outcome.health.summary}")
     if outcome.health.needs_inspection:
         console.echo(
-            f"fix: imp inspect {shlex.quote(str(outcome.log))} measures mounts, clocks and scales, and "
+            f"fix: imp inspect {shlex.quote(str(outcome.log))} measures mounts, times and scales, and "
             "prints the settings that correct them"
         )
     console.echo(f"report: {folder / 'report.html'}")

@@ -22,7 +22,7 @@ from impslam.diagnosis.presets import check_preset
 from impslam.diagnosis.range_offset import check_range_offset
 from impslam.diagnosis.scales import check_scales
 from impslam.diagnosis.stamps import check_clocks, check_repeats, check_stamps
-from impslam.diagnosis.sweep import check_overlap, check_times
+from impslam.diagnosis.sweep import check_overlap, check_times, is_instant
 from impslam.diagnosis.units import check_pose_units, check_range_unit
 from impslam.diagnosis.wheels import check_wrap
 from impslam.health import LogFault
@@ -109,10 +109,9 @@ def _checks(e: Evidence, is_quick: bool) -> Sequence[Check]:
     """Return the checks of a lidar; the times of its beams take tenths of a second to check.
 
     A config that states the duration of a sweep was made for the driver that recorded the log. Many logs
-    have no such times; only lidars that see all around measure for so long that this does harm.
+    have no such times, which only does harm if a sweep may take long.
     """
-    is_instant = e.sweep_time == 0.0 and not e.sees_all_around
-    is_known = is_quick and (e.lidar.period != 0.0 or is_instant)
+    is_known = is_quick and (e.lidar.period != 0.0 or is_instant(e))
     if not is_known:
         return CHECKS
     return [check_stamps if check is check_times else check for check in CHECKS]

@@ -91,9 +91,9 @@ class Evidence:
         return self.recording.untimed
 
     @property
-    def sees_all_around(self) -> bool:
-        """Whether any of the lidar's scans has a full field of view."""
-        return any(np.ptp(piece["angles"]) > FULL_VIEW for piece in self.recording.scans)
+    def view(self) -> float:
+        """The widest field of view of the lidar's scans, rad."""
+        return max((float(np.ptp(piece["angles"])) for piece in self.recording.scans), default=0.0)
 
     @property
     def lidar_key(self) -> str:

@@ -23,6 +23,7 @@ from impslam.diagnosis.finding import Finding, is_off, probability_off
 from impslam.diagnosis.mount import YAW_TOLERANCE
 from impslam.diagnosis.stamps import check_stamps
 from impslam.diagnosis.sweep_time import sweep_time
+from impslam.health import DISTORTED, LogFault
 from impslam.sensors.lidar2d import Lidar2D
 from impslam.types import Array, Ints, Mask
 
@@ -55,13 +56,23 @@ def check_overlap(e: Evidence) -> Iterator[Finding]:
         return
     found = _estimate(e)
     fits = found is not None and abs(found[0]) < MAX_SWEEP_RATIO * period
+    off = e.sweep_time - found[0] if found and fits else sweep - period
     yield Finding(
         "sweep too long",
         f"a sweep takes {sweep:.3f} s by its beams' times, but scans come every {period:.3f} s",
         _settings(e, found[0]) if found and fits else (f"{e.lidar_key}.deskew=false",),
         advice="time_increment in the log is wrong",
+        fault=LogFault(DISTORTED, abs(off)),
         lidar=e.name,
     )
+
+
+def is_instant(e: Evidence) -> bool:
+    """Return whether the beams have no times, and need none.
+
+    A lidar turns at least once per scan, so a sweep takes at most the share of the period that is in view.
+    """
+    return e.sweep_time == 0.0 and e.timing.period * e.view <= TIME_TOLERANCE * math.tau
 
 
 def check_times(e: Evidence) -> list[Finding]:
@@ -96,6 +107,7 @@ def check_sweep(e: Evidence) -> list[Finding]:
             f"{what}: so scans of one place fit each other best at different turn rates",
             _settings(e, seconds),
             probability_off(off, sigma, TIME_TOLERANCE),
+            fault=LogFault(DISTORTED, abs(off)),
             lidar=e.name,
         )
     ]

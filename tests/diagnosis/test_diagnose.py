@@ -34,7 +34,7 @@ from impslam.geometry.se2 import between, compose
 from impslam.health import DISTORTED, MISALIGNED, MISSCALED, MISTIMED, NO_FAULT, OPPOSED
 from impslam.simulation.robot import Lidar, SimulatedRobot, WheelEncoders
 from impslam.simulation.simulate import simulate
-from impslam.simulation.world import load_world
+from impslam.simulation.world import World, load_world
 from impslam.types import Imu, LaserScan, OdometryPose, Stamped, TruePose, WheelAngles
 
 
@@ -51,6 +51,24 @@ def slow_drive() -> list[Batch]:
     lidar = Lidar(beams=360, angle_min=-math.pi, angle_step=math.tau / 360, beam_time=0.1 / 360)
     robot = SimulatedRobot(lidar=lidar, encoders=WheelEncoders.perfect(), imu=None)
     messages = simulate(load_world("arena"), robot, seed=3)
+    return list(batches((type(message).__name__, message) for message in messages))
+
+
+@pytest.fixture(scope="module")
+def star_drive() -> list[Batch]:
+    """Return a drive along a star, which turns by 0.5 rad during each sweep of a lidar of 2 Hz."""
+    lidar = Lidar(
+        beams=360, angle_min=-math.pi, angle_step=math.tau / 360, beam_time=0.49 / 360, rate=2.0
+    )
+    robot = SimulatedRobot(lidar=lidar, encoders=WheelEncoders.perfect(), imu=None)
+    at = 0.8 * math.pi * np.arange(40)
+    points = np.column_stack((3.0 + 0.3 * np.cos(at), 2.5 + 0.3 * np.sin(at))).tolist()
+    plan = {"start": (3.0, 2.5, 0.0), "waypoints": points, "turn_rate": 1.0}
+    ring = [(0.0, 0.0), (6.0, 0.0), (6.0, 5.0), (0.0, 5.0), (0.0, 0.0)]
+    walls = [{"start": a, "end": b} for a, b in itertools.pairwise(ring)]
+    boxes = [{"centre": (1.0, 1.2), "size": (0.8, 0.5)}, {"centre": (4.8, 4.0), "size": (0.6, 1.0)}]
+    world = World(name="hall", robot=plan, walls=walls, boxes=boxes)
+    messages = simulate(world, robot, seed=3)
     return list(batches((type(message).__name__, message) for message in messages))
 
 
@@ -540,6 +558,14 @@ def test_before_a_run_missing_times_are_found_unless_a_sweep_is_short(drive, slo
     e = evidence(faults.faulty(drive, faults.sweep_of(0.0)))
     assert not is_instant(e)
     assert is_instant(replace(e, timing=e.timing._replace(period=0.025)))
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.35])
+def test_mounts_are_found_by_sweeps_that_turns_bend_much(star_drive, yaw) -> None:
+    findings = found(faults.faulty(star_drive, faults.turned(yaw)))
+    assert [one.kind for one in findings] == (["lidar rotated"] if yaw else [])
+    for finding in findings:
+        assert finding.fault.amount == pytest.approx(math.degrees(yaw), abs=2.0)
 
 
 def test_sweeps_without_turns_do_not_show_the_order_of_beams(drive) -> None:

@@ -30,6 +30,9 @@ EVERY = 3
 """Scans per computation of that: a room does not change its shape from one to the next."""
 THIN = 0.04
 """m between points whose normals are counted, as in scan matching."""
+MAX_BEND = 0.2
+"""rad of turn during a sweep up to which its distortion is linear in the motion: at 10 m, the ends of the
+sweep are then off by 5 cm, about as far as points that match."""
 NO_LIMIT = 1e9
 """m, rad, s: a gate so wide that only the first sweep becomes a keyframe."""
 
@@ -40,7 +43,8 @@ class LidarPath(NamedTuple):
     Attributes
     ----------
     middles : (n,) s, by the scans' own clock
-    poses : (n, 3) `T_first_laser`, as tracked, without de-skewing: the order of the beams may be wrong
+    poses : (n, 3) `T_first_laser`, as tracked; without de-skewing unless it was asked for, as the order of
+        the beams may be wrong
     trusted : (n,) whether the scan fits the previous ones, so that the pose may be used
     located : (n,) whether the scan also determines the position along both axes, and the turn: not in a
         bare corridor, nor in a round room
@@ -60,14 +64,14 @@ def unmounted(lidar: Lidar2D) -> Lidar2D:
     return Lidar2D(**{**table, "mount": (0.0, 0.0, 0.0), "latency": 0.0})
 
 
-def lidar_path(lidar: Lidar2D, scans: Sequence[Columns]) -> LidarPath:
+def lidar_path(lidar: Lidar2D, scans: Sequence[Columns], *, deskew: bool = False) -> LidarPath:
     """Return the path of a lidar by scan-to-map matching of its scans (pieces of one layout each).
 
     Stamps should be on one time line. Motions are predicted at constant velocity. If scans no longer fit,
-    the tracker restarts: only relative poses matter.
+    the tracker restarts: only relative poses matter. With `deskew`, each sweep is de-skewed by its match.
     """
     robot = Robot("lidar", LidarOnly(), {"lidar": unmounted(lidar)})
-    clock, follower = unmounted(lidar), _Follower()
+    clock, follower = unmounted(lidar), _Follower(deskew=deskew)
     nothing = np.empty(0, np.bool_)
     found, at = [_Followed(np.empty((0, 3)), nothing, nothing)], [np.empty(0)]
     for piece in scans:
@@ -94,8 +98,8 @@ class _Follower:
     It matches measured points: smoothed ones bias the wheel radius (by 2.4 sigma on TurtleBot3).
     """
 
-    def __init__(self) -> None:
-        self._tracker = ScanToMap(smooth=False)
+    def __init__(self, *, deskew: bool) -> None:
+        self._deskew, self._tracker = deskew, ScanToMap(smooth=False)
         self._gate = Gate(np.full(3, NO_LIMIT), np.zeros(3))
         self._restarted = False
 
@@ -103,8 +107,9 @@ class _Follower:
         """Yield the motions to the next sweeps, in order."""
         begin = 0
         assert sweeps.scans is not None
-        raw = replace(sweeps.scans, after=None)  # checks of the beams' order need them as received
-        sweeps = replace(sweeps, scans=raw)
+        raw = replace(sweeps.scans, after=None)
+        if not self._deskew:
+            sweeps = replace(sweeps, scans=raw)
         while begin < len(sweeps):
             rows = slice(begin, begin + CHUNK)
             found = self._follow_chunk(motions.take(rows), sweeps.take(rows))
@@ -205,7 +210,8 @@ def undistorted(lidar: Lidar2D, scans: Sequence[Columns], path: LidarPath) -> Li
     A point p that is measured t seconds after the middle of a sweep is off by t (v + omega x p) there. To
     first order, this moves the match by the d that minimises the squares of n . (t (v + omega x p) - d),
     with the normals n of the surfaces: if most of what determines the heading is measured early, the scan
-    is matched as if it had been taken earlier. Sweeps that overlap, by their stamps, stay as they are.
+    is matched as if it had been taken earlier. If a sweep turns by more than `MAX_BEND`, all are tracked
+    again, and each is de-skewed by its match. Sweeps that overlap, by their stamps, stay as they are.
     """
     own, moved = unmounted(lidar), np.zeros_like(path.poses)
     apart = np.gradient(path.middles) if len(path.middles) > 1 else np.zeros(len(path.middles))
@@ -213,8 +219,11 @@ def undistorted(lidar: Lidar2D, scans: Sequence[Columns], path: LidarPath) -> Li
         begins, ends = own.spans(piece)
         if not (ends > begins).any():
             continue
-        raw = own.sweeps(piece, np.zeros((len(piece), 3)))
         timed = np.flatnonzero(apart[start : start + len(piece)] > 0.5 * (ends - begins))
+        bends = np.abs(path.twists[start + timed, 2]) * (ends - begins)[timed]
+        if (bends[path.trusted[start + timed]] > MAX_BEND).any():
+            return lidar_path(lidar, scans, deskew=True)
+        raw = own.sweeps(piece, np.zeros((len(piece), 3)))
         for k in range(0, len(timed), CHUNK):
             rows = timed[k : k + CHUNK]
             moved[start + rows] = _distortions(raw, rows, path.twists[start + rows])

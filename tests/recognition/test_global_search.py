@@ -141,3 +141,11 @@ def test_beams_that_end_in_unknown_space_have_no_effect(search_map):
     told = explain(search_map, beams, np.array([500.0, 0.0, 0.0]))
     assert told.unknown == 1.0
     assert told.score == 0.0
+
+
+def test_points_out_of_reach_are_left_out(search_map):
+    points = np.zeros((COARSE_POINTS, 5), np.float32)
+    points[:, 0] = 100.0
+    places = search_everywhere(search_map, points)
+    assert len(places.poses) == 0
+    assert not places.complete

@@ -17,6 +17,7 @@ from impslam.geometry.se2 import transform
 from impslam.map import Keyframes
 from impslam.maps.distances import distances
 from impslam.maps.grid import BALANCED, OccupancyGrid
+from impslam.recognition.coarse_sums import BLOCK, LEVEL, lines
 from impslam.recognition.free_ranges import MAX_RANGE
 from impslam.recognition.pyramid import (
     CELL,
@@ -34,7 +35,7 @@ from impslam.types import Array, Mask
 Floats: TypeAlias = np.ndarray[Any, np.dtype[np.float32]]
 
 SIDE = 0.5 * CELL  # m, cells of the occupancy grid
-LEVELS = 5  # of the pyramids: blocks of up to 1.6 m, the width of a corridor
+LEVELS = LEVEL + 1  # of the pyramids
 UNKNOWN, FREE, OCCUPIED, SOLID = range(4)
 SOLID_LOG_ODDS = 2.9 * BALANCED.hit
 """Log-odds of a wall that no beam passes: three more beams have ended here than passed."""
@@ -56,7 +57,8 @@ FREE_GAP = 1.1 * CELL
 DRIVEN_RADIUS = 1.5
 """m around a keyframe where the lidar may be in unknown space: one that looks ahead does not see the floor
 beside and behind it. In a hospital, mapped by such a lidar, a sixth of such places is unknown."""
-MARGIN = 2  # unknown cells around a grid
+MARGIN = 2 * BLOCK
+"""Unknown cells around a grid: a block that begins outside is then in unknown space as a whole."""
 
 
 class SearchMap(NamedTuple):
@@ -67,8 +69,9 @@ class SearchMap(NamedTuple):
     state : (h, w) UNKNOWN, FREE, OCCUPIED or SOLID, in cells of `SIDE` m
     distance : (h, w) m from the cell to the nearest occupied one
     corner : (2,) m, the lower left corner of all grids
-    likelihood : (LEVELS, DIRECTIONS + 1, h / 2, w / 2) maximum likelihood of a point in blocks of 2^level
+    likelihood : (LEVEL, DIRECTIONS + 1, h / 2, w / 2) maximum likelihood of a point in blocks of 2^level
         cells of `CELL` m, 255 for 1: of one with a normal around k `SECTOR`, and, last, of one without
+    coarse : the next level; see `lines`
     allowed : (LEVELS, h / 2, w / 2) 1 if the lidar may be anywhere in the block
     surfaces : from the scans of the map
     """
@@ -77,6 +80,7 @@ class SearchMap(NamedTuple):
     distance: Floats
     corner: Array
     likelihood: Bytes
+    coarse: Bytes
     allowed: Bytes
     surfaces: SurfaceMap
 
@@ -106,8 +110,8 @@ def make_search_map(keyframes: Keyframes, views: Sequence[View]) -> SearchMap:
     near_free = _distance(free, CELL) < FREE_GAP
     inside = (near_free & (to_keyframe < KEYFRAME_RADIUS)) | (to_keyframe < DRIVEN_RADIUS)
     allowed = _pyramid((inside & (to_wall > CLEARANCE)).astype(np.uint8))
-    likelihood = _likelihood(poses, views, corner, distance, free)
-    return SearchMap(state, distance, corner, likelihood, allowed, surfaces)
+    likelihood, coarse = _pooled(_likelihood(poses, views, corner, distance, free))
+    return SearchMap(state, distance, corner, likelihood, coarse, allowed, surfaces)
 
 
 def _without_far_points(keyframes: Keyframes) -> Keyframes:
@@ -142,20 +146,25 @@ def _likelihood(
     inside &= rows < distance.shape[0]
     inside[inside] = distance[rows[inside], columns[inside]] < MAX_WALL_DISTANCE
     points, facing = np.ascontiguousarray(points[inside]), facing[inside]
-    levels = np.empty((LEVELS, DIRECTIONS + 1, *free.shape), np.uint8)
-    levels[0] = np.where(free, 0, np.uint8(FULL * CHANCE))
+    level = np.empty((DIRECTIONS + 1, *free.shape), np.uint8)
+    level[:] = np.where(free, 0, np.uint8(FULL * CHANCE))
     for k in range(DIRECTIONS):
-        draw(levels[0, k], corner, points, np.cos(facing - k * SECTOR) > MIN_FACING)
+        draw(level[k], corner, points, np.cos(facing - k * SECTOR) > MIN_FACING)
     columns, rows = np.floor((points - corner) / CELL).astype(np.int64).T
-    is_known = levels[0, :DIRECTIONS, rows, columns].max(1) > FULL // 2
+    is_known = level[:DIRECTIONS, rows, columns].max(0) > FULL // 2
     for k in range(DIRECTIONS + 1):
         chosen = np.isnan(facing) & ~is_known | (k == DIRECTIONS)
-        draw(levels[0, k], corner, points, chosen)
-    on_any = (OTHER_DIRECTION * levels[0, DIRECTIONS]).astype(np.uint8)
-    np.maximum(levels[0, :DIRECTIONS], on_any, out=levels[0, :DIRECTIONS])
-    for k in range(DIRECTIONS + 1):
-        pool(levels[:, k])
-    return levels
+        draw(level[k], corner, points, chosen)
+    on_any = (OTHER_DIRECTION * level[DIRECTIONS]).astype(np.uint8)
+    np.maximum(level[:DIRECTIONS], on_any, out=level[:DIRECTIONS])
+    return level
+
+
+def _pooled(likelihood: Bytes) -> tuple[Bytes, Bytes]:
+    """Return the levels of the likelihood (k, h, w), without and as the last one; see `SearchMap`."""
+    pyramids = [_pyramid(level) for level in likelihood]
+    fine = np.stack([levels[:LEVEL] for levels in pyramids], axis=1)
+    return fine, lines(np.stack([levels[LEVEL] for levels in pyramids]), int(FULL * CHANCE))
 
 
 def _points(poses: Array, views: Sequence[View]) -> tuple[Array, Array]:

@@ -239,6 +239,13 @@ def test_a_clear_lead_in_the_whole_map_is_no_chance(second, whole, verdict):
     assert answer(places, 50.0, complete=True, whole=whole).verdict == verdict
 
 
+def test_a_place_that_many_beams_contradict_may_be_chance_in_spite_of_its_lead():
+    """In an office that is not in the map, the best of several that look alike led by 0.8."""
+    best = Explanation(0.58, 0.82, 0.09, 0.08, 0.01)
+    places = [(best, FAR[0]), (best._replace(score=-0.25), FAR[1])]
+    assert answer(places, 75.0, complete=True, whole=True).verdict == Verdict.AMBIGUOUS
+
+
 @pytest.mark.parametrize(("points", "verdict"), [(150.0, Verdict.FOUND), (60.0, Verdict.NOWHERE)])
 def test_beams_that_end_in_unknown_space_neither_count_nor_support(points, verdict):
     part = Explanation(0.45, 0.5, 0.0, 0.0, 0.5)

@@ -185,11 +185,9 @@ def _check(
         if not _due(history, pending):
             out[k], amounts[k] = newest_offset(pending.offsets)
             continue
-        count = find_beam_features(beams, k, SPACING, False, features)
-        count = leave_out_oblique(features[:count])
-        motion, wide = _predict(pending)
-        by_scans = pending.contradicted[0]
-        if _match(motion, wide, features[:count], pending, submaps, matching):
+        surfaces = _find_surfaces(beams, k, features)
+        (motion, wide), by_scans = _predict(pending), pending.contradicted[0]
+        if _match(motion, wide, surfaces, pending, submaps, matching):
             out[k] = _find_contradiction(before, motion, wide, history, pending)
             by_scans |= out[k] != NONE
             if by_scans:
@@ -206,6 +204,13 @@ def _check(
             )
         pending.pose[:], pending.covariance[:], pending.clock[0] = 0.0, 0.0, 0.0
     return out
+
+
+@kernel
+def _find_surfaces(beams: BeamColumns, k: int, features: Features) -> Features:
+    """Return the features of sweep k, without oblique surfaces; they are stored in `features`."""
+    count = find_beam_features(beams, k, SPACING, False, features)
+    return features[: leave_out_oblique(features[:count])]
 
 
 @kernel
